@@ -329,8 +329,9 @@ def _rate(rate_hz: float) -> str:
 
 
 def _says(build: object) -> str:
-    """What a message says: the first line of its builder, behind the message's name."""
-    return (build.__doc__ or "").splitlines()[0].partition(": ")[2].rstrip(".")
+    """What a message says: the first paragraph of its builder, behind the message's name."""
+    paragraph = " ".join((build.__doc__ or "").partition("\n\n")[0].split())
+    return paragraph.partition(": ")[2].rstrip(".")
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

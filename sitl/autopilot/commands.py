@@ -17,14 +17,11 @@ from sitl.autopilot.services import available_modes
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 
-FORCE = 21196.0
-"""MAVLink's magic number: as param 2 of MAV_CMD_COMPONENT_ARM_DISARM (400) it forces a disarm in the air."""
-TAKE_OFF_WITHIN_M = 0.1
-"""A take-off so little below the lowest is raised without a word, as in PX4."""
+FORCE = 21196.0  # MAVLink's magic number: as param 2 it forces a disarm in the air
+TAKE_OFF_WITHIN_M = 0.1  # a take-off so little below the lowest is raised without a word, as in PX4
 SPEEDS = {0.0: "MPC_XY_CRUISE", 1.0: "MPC_XY_CRUISE", 2.0: "MPC_Z_VEL_MAX_UP", 3.0: "MPC_Z_VEL_MAX_DN"}
 """The parameter that MAV_CMD_DO_CHANGE_SPEED (178) changes, by its SPEED_TYPE."""
-UNCHANGED = -1.0
-"""As a speed or as the number of an item: leave it as it is."""
+UNCHANGED = -1.0  # as a speed or as the number of an item: leave it as it is
 
 
 class Params(NamedTuple):
@@ -43,7 +40,6 @@ class Params(NamedTuple):
 class CommandRequest(NamedTuple):
     """A command to a vehicle, and how it came."""
 
-    params: Params
     vehicle: Vehicle
     parameters: Parameters
     t_s: float  # simulation time
@@ -55,7 +51,7 @@ class KnownCommand(NamedTuple):
     """What a command does."""
 
     does: str  # for the documentation
-    obey: Callable[[CommandRequest], Result]
+    obey: Callable[[CommandRequest, Params], Result]
     finite: int = 0  # how many leading parameters must be finite; NaN in any other means "not given"
     for_all: bool = False  # whether it may be sent to system 0; PX4, too, obeys no other that is broadcast
 
@@ -69,33 +65,33 @@ def params(m: Message) -> Params:
     return Params(*first, lat, lon, m.z, m.frame)
 
 
-def obey(command: int, request: CommandRequest) -> Result:
+def obey(command: int, request: CommandRequest, p: Params) -> Result:
     """Obey a command, if it is one of the table."""
-    if command not in COMMANDS:
+    known = COMMANDS.get(command)
+    if known is None:
         return UNSUPPORTED
-    known = COMMANDS[command]
-    for number, value in enumerate(request.params[: known.finite], start=1):
+    for number, value in enumerate(p[: known.finite], start=1):
         if not math.isfinite(value):
             return denied(f"Command {command} refused: param {number} is {value}")
-    return known.obey(request)
+    return known.obey(request, p)
 
 
 # ---- arming, modes, take-off ----
 
 
-def _arm(request: CommandRequest) -> Result:
-    p, vehicle = request.params, request.vehicle
+def _arm(request: CommandRequest, p: Params) -> Result:
     if p.p1 not in (0.0, 1.0):
         return denied(f"Arming refused: param 1 is {p.p1:g}, allowed is 0 or 1")
-    return vehicle.arm(request.t_s) if p.p1 else vehicle.disarm(request.t_s, force=p.p2 == FORCE)
+    if p.p1:
+        return request.vehicle.arm(request.t_s)
+    return request.vehicle.disarm(request.t_s, force=p.p2 == FORCE)
 
 
-def _change_mode(request: CommandRequest, mode: Mode) -> Result:
+def _change_mode(request: CommandRequest, _: Params, mode: Mode) -> Result:
     return request.vehicle.set_mode(request.t_s, mode)
 
 
-def _set_mode(request: CommandRequest) -> Result:
-    p = request.params
+def _set_mode(request: CommandRequest, p: Params) -> Result:
     sub = int(p.p3) if math.isfinite(p.p3) else 0
     return set_custom_mode(request.vehicle, request.t_s, int(p.p1), int(p.p2), sub)
 
@@ -111,36 +107,34 @@ def set_custom_mode(vehicle: Vehicle, t_s: float, base_mode: int, main: int, sub
     return vehicle.set_mode(t_s, mode)
 
 
-def _take_off(request: CommandRequest) -> Result:
+def _take_off(request: CommandRequest, p: Params) -> Result:
     """Take off. An altitude that is too low is raised, as in PX4: people type a height above the ground."""
     lowest_m = request.vehicle.config.takeoff_altitude_m
-    altitude_m = _above_home(request) if math.isfinite(request.params.alt_m) else lowest_m
+    altitude_m = _above_home(request, p) if math.isfinite(p.alt_m) else lowest_m
     result = request.vehicle.take_off(request.t_s, max(altitude_m, lowest_m))
     if result.accepted and altitude_m < lowest_m - TAKE_OFF_WITHIN_M:
         return result._replace(reason=f"Using minimum takeoff altitude: {lowest_m:g} m above home")
     return result
 
 
-def _reposition(request: CommandRequest) -> Result:
-    p, config = request.params, request.vehicle.config
+def _reposition(request: CommandRequest, p: Params) -> Result:
+    config = request.vehicle.config
     if p.frame not in ABOVE_SEA | ABOVE_HOME:
         return denied(f"Go-to refused: frame {p.frame} is not global")
     north, east, down = request.vehicle.state(request.t_s).position
     if math.isfinite(p.lat_deg) and math.isfinite(p.lon_deg):
         north, east = config.local(p.lat_deg, p.lon_deg)
     if math.isfinite(p.alt_m):
-        down = -_above_home(request)
+        down = -_above_home(request, p)
     yaw_rad = p.p4 if math.isfinite(p.p4) else None
     return request.vehicle.go_to(request.t_s, (north, east, down), yaw_rad)
 
 
-def _above_home(request: CommandRequest) -> float:
-    p = request.params
+def _above_home(request: CommandRequest, p: Params) -> float:
     return p.alt_m if p.frame in ABOVE_HOME else p.alt_m - request.vehicle.config.home_alt_m
 
 
-def _change_speed(request: CommandRequest) -> Result:
-    p = request.params
+def _change_speed(request: CommandRequest, p: Params) -> Result:
     name = SPEEDS.get(p.p1)
     if name is None:
         return denied(f"Speed refused: param 1 is {p.p1:g}, allowed is 0 to 3")
@@ -151,24 +145,23 @@ def _change_speed(request: CommandRequest) -> Result:
 # ---- the mission ----
 
 
-def _start_mission(request: CommandRequest) -> Result:
+def _start_mission(request: CommandRequest, p: Params) -> Result:
     """Fly the mission, as PX4 does: choose the item, change the mode, arm."""
-    result = ACCEPTED if request.params.p1 == UNCHANGED else _set_current(request)
+    result = ACCEPTED if p.p1 == UNCHANGED else _set_current(request, p)
     if result.accepted:
-        result = _change_mode(request, Mode.MISSION)
+        result = _change_mode(request, p, Mode.MISSION)
     return request.vehicle.arm(request.t_s) if result.accepted else result
 
 
-def _set_current(request: CommandRequest) -> Result:
-    vehicle, p1 = request.vehicle, request.params.p1
-    return vehicle.set_current(request.t_s, vehicle.mission.current if p1 == UNCHANGED else int(p1))
+def _set_current(request: CommandRequest, p: Params) -> Result:
+    seq = request.vehicle.mission.current if p.p1 == UNCHANGED else int(p.p1)
+    return request.vehicle.set_current(request.t_s, seq)
 
 
-def _pause(request: CommandRequest) -> Result:
-    p1 = request.params.p1
-    if p1 not in (0.0, 1.0):
-        return denied(f"Pause refused: param 1 is {p1:g}, allowed is 0 or 1")
-    return _change_mode(request, Mode.MISSION if p1 else Mode.HOLD)
+def _pause(request: CommandRequest, p: Params) -> Result:
+    if p.p1 not in (0.0, 1.0):
+        return denied(f"Pause refused: param 1 is {p.p1:g}, allowed is 0 or 1")
+    return _change_mode(request, p, Mode.MISSION if p.p1 else Mode.HOLD)
 
 
 # ---- messages and their rates ----
@@ -209,7 +202,7 @@ REQUESTED = {
 }
 
 
-def _send(request: CommandRequest, message_id: int, index: float = 0.0) -> Result:
+def _send(request: CommandRequest, _: Params, message_id: int, index: float = 0.0) -> Result:
     """Send a message once; `index` says which one where there are several."""
     if request.streams is None:
         return UNSUPPORTED
@@ -223,16 +216,15 @@ def _send(request: CommandRequest, message_id: int, index: float = 0.0) -> Resul
     return ACCEPTED if messages else UNSUPPORTED
 
 
-def _request_message(request: CommandRequest) -> Result:
-    return _send(request, int(request.params.p1), request.params.p2)
+def _request_message(request: CommandRequest, p: Params) -> Result:
+    return _send(request, p, int(p.p1), p.p2)
 
 
-def _get_interval(request: CommandRequest) -> Result:
-    return _send(request, mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL, request.params.p1)
+def _get_interval(request: CommandRequest, p: Params) -> Result:
+    return _send(request, p, mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL, p.p1)
 
 
-def _set_interval(request: CommandRequest) -> Result:
-    p = request.params
+def _set_interval(request: CommandRequest, p: Params) -> Result:
     return request.streams.set_interval(int(p.p1), p.p2, request.t_s) if request.streams else UNSUPPORTED
 
 

@@ -9,10 +9,8 @@ from plume.geodesy import to_local
 from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, NorthEast, Rally
 from sitl.autopilot.motion import Limits
 
-NO_ACTION, HOLD, RETURN, TERMINATE, LAND = 0, 2, 3, 4, 5
-"""The values of `fence_action`; 1 only warns."""
-GLOBAL_STEP_M = 0.02
-"""A little more than 1e-7 degrees, MAVLink's resolution of latitude and longitude."""
+NO_ACTION, HOLD, RETURN, TERMINATE, LAND = 0, 2, 3, 4, 5  # the values of `fence_action`; 1 only warns
+GLOBAL_STEP_M = 0.02  # a little more than 1e-7 degrees, MAVLink's resolution of latitude and longitude
 
 
 @dataclass(frozen=True)
@@ -25,33 +23,21 @@ class VehicleConfig(AircraftConfig):
     sysid: int = 1
     home_lat_deg: float = 47.397742
     home_lon_deg: float = 8.545594
-    home_alt_m: float = 488.0
-    """Above mean sea level."""
+    home_alt_m: float = 488.0  # above mean sea level
     home_heading_deg: float = 0.0
     speed_mps: float = 5.0
     climb_mps: float = 3.0
     descent_mps: float = 1.5
     accel_mps2: float = 3.0
     yaw_rate_dps: float = 45.0
-    return_altitude_m: float = 5.0
-    """Lowest altitude above home for a return: a vehicle below it climbs first, one above it keeps its
-    altitude.
-    """
-    stream_s: float = math.inf
-    """PX4's COM_OF_LOSS_T of a companion that must stream: OFFBOARD fails safe after this time without a
-    setpoint; `inf`: not strict.
-    """
-    disarm_landed_s: float = 2.0
-    """Time on the ground after a flight until the motors stop; `inf`: never. PX4's COM_DISARM_LAND."""
-    disarm_preflight_s: float = 10.0
-    """Time after arming without a take-off until the motors stop; `inf`: never. PX4's COM_DISARM_PRFLT."""
-    endurance_s: float = 1800.0
-    """How long the battery lasts with the motors on; `math.inf`: it never drains."""
+    return_altitude_m: float = 5.0  # a vehicle that returns climbs to this altitude above home if it is lower
+    stream_s: float = math.inf  # silence of a companion that must stream until OFFBOARD fails safe
+    disarm_landed_s: float = 2.0  # time on the ground after a flight until the motors stop
+    disarm_preflight_s: float = 10.0  # time after arming without a take-off until the motors stop
+    endurance_s: float = 1800.0  # how long the battery lasts with the motors on
     fence: Fence = NO_FENCE
-    fence_action: int = HOLD
-    """What is done when the fence is left: PX4's GF_ACTION."""
-    rally: Rally = NO_RALLY
-    """Where else than at home a return may end."""
+    fence_action: int = HOLD  # what is done when the fence is left: PX4's GF_ACTION
+    rally: Rally = NO_RALLY  # where else than at home a return may end
 
     def __post_init__(self) -> None:
         """Check every range."""

@@ -9,13 +9,10 @@ import numpy as np
 from aircraft.state import Ned
 from sitl.autopilot.motion import Phase, Trajectory, first_exit_s, real_roots, stretches
 
-NorthEast = tuple[float, float]
-"""(north, east) in m from home."""
+NorthEast = tuple[float, float]  # (north, east) in m from home
 
-EDGE_M = 1e-9
-"""A place this close to the edge of a shape lies on it, and the edge is always allowed."""
-SHORTEST_S = 1e-6
-"""A stay inside or outside that is shorter than this comes from rounding at an edge."""
+EDGE_M = 1e-9  # a place this close to the edge of a shape lies on it, and the edge is always allowed
+SHORTEST_S = 1e-6  # a stay inside or outside that is shorter than this comes from rounding at an edge
 
 
 class Circle(NamedTuple):
@@ -89,8 +86,7 @@ class Fence(NamedTuple):
     """
 
     shapes: tuple[Circle | Polygon, ...] = ()
-    number: int = 0
-    """The checksum of the items that it was made of; 0 without a fence."""
+    number: int = 0  # the checksum of the items that it was made of; 0 without a fence
 
     def allows(self, position: Ned) -> bool:
         """True if a position is inside the fence or on its edge."""
@@ -122,8 +118,7 @@ class Rally(NamedTuple):
     """Places other than home where a return may end."""
 
     places: tuple[NorthEast, ...] = ()
-    number: int = 0
-    """The checksum of the items that they were made of; 0 without rally points."""
+    number: int = 0  # the checksum of the items that they were made of; 0 without rally points
 
     def nearest(self, position: Ned) -> NorthEast:
         """Return the nearest of home and the rally points, as PX4's RTL_TYPE 0 does; home if two are

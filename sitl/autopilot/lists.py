@@ -20,17 +20,14 @@ from sitl.autopilot.plan import NOT_GIVEN, BadItem, Item
 from sitl.autopilot.services import Microservice, Reply, Request
 from sitl.autopilot.vehicle import Vehicle
 
-RETRY_S, ACTION_S = 0.25, 5.0
-"""Real time after which an item is asked for again, and after which an upload is given up: PX4's values. A
-client lives in real time.
-"""
+RETRY_S = 0.25  # real time after which an item is asked for again: PX4's value; clients live in real time
+ACTION_S = 5.0  # real time without an item after which an upload is given up: PX4's value
 MISSION, FENCE, RALLY = (
     mavlink.MAV_MISSION_TYPE_MISSION,
     mavlink.MAV_MISSION_TYPE_FENCE,
     mavlink.MAV_MISSION_TYPE_RALLY,
 )
-MOST_ITEMS = {MISSION: 2000, FENCE: 64, RALLY: 32}
-"""PX4's limits."""
+MOST_ITEMS = {MISSION: 2000, FENCE: 64, RALLY: 32}  # PX4's limits
 NAMES = {MISSION: "Mission", FENCE: "Fence", RALLY: "Rally points"}
 
 Items = tuple[Item, ...]
@@ -132,8 +129,7 @@ class PlanService:
         seq, mission_type = request.message.seq, request.message.mission_type
         items = self._items.get(mission_type, ())
         if not 0 <= seq < len(items):
-            text = f"No item {seq}: the list has {len(items)}"
-            raise BadItem(mavlink.MAV_MISSION_INVALID_SEQUENCE, text)
+            raise BadItem(mavlink.MAV_MISSION_INVALID_SEQUENCE, f"No item {seq}: the list has {len(items)}")
         item = items[seq]
         current = mission_type == MISSION and self._vehicle.mission.current == seq
         head = seq, item.frame, item.command, int(current), item.autocontinue, *item.params
@@ -151,11 +147,14 @@ class PlanService:
             who = "/".join(map(str, self._upload.partner))
             raise BadItem(mavlink.MAV_MISSION_ERROR, f"Upload refused: {who} is uploading")
         if upload.mission_type not in self._items:
-            text = f"Upload refused: type {upload.mission_type} is not 0, 1 or 2"
-            raise BadItem(mavlink.MAV_MISSION_INVALID, text)
+            raise BadItem(
+                mavlink.MAV_MISSION_INVALID, f"Upload refused: type {upload.mission_type} is not 0, 1 or 2"
+            )
         if upload.count > (most := MOST_ITEMS[upload.mission_type]):
-            text = f"{NAMES[upload.mission_type]} refused: {upload.count} items, allowed are {most}"
-            raise BadItem(mavlink.MAV_MISSION_NO_SPACE, text)
+            raise BadItem(
+                mavlink.MAV_MISSION_NO_SPACE,
+                f"{NAMES[upload.mission_type]} refused: {upload.count} items, allowed are {most}",
+            )
         return self._go_on(request, upload)
 
     def _take(self, request: Request) -> Reply:
@@ -165,21 +164,25 @@ class PlanService:
                 return _acknowledged(request)  # the acknowledgement was lost
             raise BadItem(mavlink.MAV_MISSION_ERROR, f"Item {message.seq} refused: no upload under way")
         if message.mission_type != upload.mission_type:
-            text = f"Item {message.seq} refused: it is of type {message.mission_type}"
-            raise BadItem(mavlink.MAV_MISSION_ERROR, text)
+            raise BadItem(
+                mavlink.MAV_MISSION_ERROR, f"Item {message.seq} refused: it is of type {message.mission_type}"
+            )
         upload.heard_s = self._clock()
         if message.seq < upload.count and message.seq != len(upload.items):
             return Reply([])  # repeated or out of sequence: the request is repeated when it is due
         self._upload = None  # a bad item ends it
         if message.seq >= upload.count:
-            text = f"Item {message.seq} refused: the list has {upload.count}"
-            raise BadItem(mavlink.MAV_MISSION_INVALID_SEQUENCE, text)
+            raise BadItem(
+                mavlink.MAV_MISSION_INVALID_SEQUENCE,
+                f"Item {message.seq} refused: the list has {upload.count}",
+            )
         item = _read(message)
         try:
             plan.check(item, upload.mission_type, upload.count, self._vehicle.config)
         except BadItem as error:
-            text = f"{NAMES[upload.mission_type]} refused: item {message.seq}: {error}"
-            raise BadItem(error.code, text) from None
+            raise BadItem(
+                error.code, f"{NAMES[upload.mission_type]} refused: item {message.seq}: {error}"
+            ) from None
         upload.items.append(item)
         upload.current = message.seq if message.current else upload.current
         upload.floats = message.get_type() == "MISSION_ITEM"
@@ -240,8 +243,7 @@ class PlanService:
         wanted = request.message.mission_type
         types = tuple(self._items) if wanted == mavlink.MAV_MISSION_TYPE_ALL else (wanted,)
         if types[0] not in self._items:
-            text = f"Clear refused: type {wanted} is not 0, 1, 2 or 255"
-            raise BadItem(mavlink.MAV_MISSION_INVALID, text)
+            raise BadItem(mavlink.MAV_MISSION_INVALID, f"Clear refused: type {wanted} is not 0, 1, 2 or 255")
         self._upload = None
         for mission_type in types:
             self._load(mission_type, (), request.t_s)

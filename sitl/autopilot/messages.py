@@ -22,10 +22,8 @@ class Snapshot(NamedTuple):
 
     config: VehicleConfig
     state: State
-    wind: tuple[float, float]
-    """(u cos φ, u sin φ) m/s, x east, y north: points to where the wind comes from."""
-    gas: tuple[int, float] | None
-    """time_boot_ms and value of the last reading, in the sensor's unit; None before the first."""
+    wind: tuple[float, float]  # (u cos φ, u sin φ) m/s, x east, y north: points to where the wind comes from
+    gas: tuple[int, float] | None  # time_boot_ms and value of the last reading, in the sensor's unit
 
     @property
     def time_boot_ms(self) -> int:
@@ -255,16 +253,11 @@ def _centidegrees(angle_rad: float) -> int:
 
 CELLS = 4
 EMPTY_CELL_V, FULL_CELL_V = 3.5, 4.2
-REACHED_S = 1.0
-"""How long it is told that an item of the mission is done; PX4 tells it ten times, at 10 Hz."""
+REACHED_S = 1.0  # how long MISSION_ITEM_REACHED is sent; PX4 sends it ten times, at 10 Hz
+# The PX4 release whose protocol the vehicle speaks: stations warn of older ones. "dev": it is none of PX4's.
 FLIGHT_SW_VERSION = (1, 15, 0, mavlink.FIRMWARE_VERSION_TYPE_DEV)
-"""The PX4 release whose protocol the vehicle speaks: stations refuse or warn of older ones. "dev", for it
-is not a release of PX4.
-"""
+# Who it really is: `flight_custom_version` has the version, as PX4's vendors order it, and the name.
 OWN_NAME, OWN_VERSION = b"plume", (0, 1, 0)
-"""Who it really is. `flight_custom_version` has it: patch, minor, major, as PX4's vendors order them, and
-the name.
-"""
 
 
 def heartbeat(s: Snapshot) -> Message:

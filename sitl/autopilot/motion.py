@@ -18,8 +18,7 @@ TINY = 1e-9
 """A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its
 direction would be 0/0.
 """
-SAME_ROOT = 1e-6
-"""A root of a polynomial with a smaller imaginary part is real, but for rounding."""
+SAME_ROOT = 1e-6  # a root of a polynomial with a smaller imaginary part is real, but for rounding
 
 
 class Limits(NamedTuple):
@@ -141,57 +140,30 @@ def fall(t_s: float, motion: Motion) -> Trajectory:
 
 
 class Turn(NamedTuple):
-    """A yaw turn at a constant rate, the shorter way round; it ends exactly on the target."""
+    """A yaw turn at a constant rate. It ends exactly on its target, or never. Yaw is clockwise from north."""
 
     start_s: float
     start_rad: float
-    target_rad: float
     rate_radps: float
-
-    @property
-    def end_s(self) -> float:
-        """Time at which the target yaw is reached."""
-        return self.start_s + abs(self._angle()) / self.rate_radps
+    end_s: float = math.inf
+    target_rad: float = math.nan
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """(yaw in rad, yaw rate in rad/s) at a time not before the start; yaw is clockwise from north, in
-        [−π, π].
-        """
+        """Return (yaw in [−π, π] rad, yaw rate in rad/s) at a time not before the start."""
         if t_s >= self.end_s:
             return self.target_rad, 0.0
-        rate = math.copysign(self.rate_radps, self._angle())
-        return wrapped(self.start_rad + rate * max(t_s - self.start_s, 0.0)), rate
-
-    def stopped(self, _t_s: float) -> "Turn":
-        """The turn itself: it stops at its target."""
-        return self
-
-    def _angle(self) -> float:
-        return wrapped(self.target_rad - self.start_rad)
-
-
-class Spin(NamedTuple):
-    """A yaw turn at a constant rate that goes on until something else is asked for."""
-
-    start_s: float
-    start_rad: float
-    rate_radps: float
-
-    @property
-    def end_s(self) -> float:
-        """It has no end."""
-        return math.inf
-
-    def at(self, t_s: float) -> tuple[float, float]:
-        """(yaw in rad, yaw rate in rad/s) at a time not before the start; yaw is clockwise from north, in
-        [−π, π].
-        """
         return wrapped(self.start_rad + self.rate_radps * max(t_s - self.start_s, 0.0)), self.rate_radps
 
-    def stopped(self, t_s: float) -> Turn:
-        """The end of the turn at a time."""
-        yaw_rad, _ = self.at(t_s)
-        return Turn(t_s, yaw_rad, yaw_rad, abs(self.rate_radps))
+    def stopped(self, t_s: float) -> "Turn":
+        """Return this turn, which ends on its target, or without one its end at a time."""
+        return self if self.end_s < math.inf else turn(t_s, self.at(t_s)[0], self.at(t_s)[0], 1.0)
+
+
+def turn(t_s: float, start_rad: float, target_rad: float, rate_radps: float) -> Turn:
+    """Return the turn to a yaw, the shorter way round."""
+    angle = wrapped(target_rad - start_rad)
+    end_s = t_s + abs(angle) / rate_radps
+    return Turn(t_s, start_rad, math.copysign(rate_radps, angle), end_s, target_rad)
 
 
 def wrapped(angle_rad: float) -> float:

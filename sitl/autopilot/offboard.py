@@ -17,7 +17,6 @@ from sitl.autopilot.motion import (
     Limits,
     Motion,
     Phase,
-    Spin,
     Trajectory,
     Turn,
     along,
@@ -27,18 +26,15 @@ from sitl.autopilot.motion import (
     real_roots,
     stretches,
     times,
+    turn,
     wrapped,
 )
 from sitl.autopilot.setpoint import Setpoint
 
-SAME_PLACE_M = 1e-6
-"""A vehicle this close to where it shall be is there."""
-CREEP_MPS = 1e-3
-"""A component of a velocity below this counts as 0: a float32 yaw turns a velocity along an edge by that."""
-ROUNDING_M = 1e-12
-"""By how much rounding may put a vehicle over an edge."""
-ROUNDING = 1e-12
-"""A coefficient that is smaller than the largest by this factor is 0, but for rounding."""
+SAME_PLACE_M = 1e-6  # a vehicle this close to where it shall be is there
+CREEP_MPS = 1e-3  # a component below this counts as 0: a float32 yaw turns a velocity by that little
+ROUNDING_M = 1e-12  # by how much rounding may put a vehicle over an edge
+ROUNDING = 1e-12  # a coefficient that is smaller than the largest by this factor is 0, but for rounding
 
 
 class Box(NamedTuple):
@@ -253,17 +249,17 @@ def _accelerate(velocity: Ned, acceleration: Ned, limits: Limits) -> Push:
     return Push((north, east, down), t_s, along(velocity, (north, east, down), t_s))
 
 
-def facing(turn: Turn | Spin, t_s: float, setpoint: Setpoint, config: VehicleConfig) -> Turn | Spin:
+def facing(now: Turn, t_s: float, setpoint: Setpoint, config: VehicleConfig) -> Turn:
     """Return how the vehicle turns once it has a setpoint: to its yaw, or at its yaw rate, or not at all."""
-    yaw_rad, most = turn.at(t_s)[0], math.radians(config.yaw_rate_dps)
+    yaw_rad, most = now.at(t_s)[0], math.radians(config.yaw_rate_dps)
     if setpoint.yaw_rad is not None:
         wanted = wrapped(setpoint.yaw_rad)
-        is_same = isinstance(turn, Turn) and wanted == turn.target_rad
-        return turn if is_same else Turn(t_s, yaw_rad, wanted, most)
+        return now if wanted == now.target_rad else turn(t_s, yaw_rad, wanted, most)
     rate = min(max(setpoint.yaw_rate_radps or 0.0, -most), most)
-    if rate:
-        return turn if isinstance(turn, Spin) and rate == turn.rate_radps else Spin(t_s, yaw_rad, rate)
-    return turn.stopped(t_s)
+    if rate == 0.0:
+        return now.stopped(t_s)
+    is_same = now.end_s == math.inf and now.rate_radps == rate
+    return now if is_same else Turn(t_s, yaw_rad, rate)
 
 
 # ---- how long it may be silent ----
@@ -278,8 +274,7 @@ class Companion:
     def __init__(self) -> None:
         """Begin unheard."""
         self.setpoint: Setpoint | None = None
-        self.is_own_search = False
-        """True while the vehicle's own search leads: it answers readings, and need not stream."""
+        self.is_own_search = False  # the vehicle's own search leads: it answers readings, and need not stream
         self._heard_s = self._before_s = -math.inf  # the newest setpoint, and the one before
 
     def hear(self, setpoint: Setpoint, now_s: float) -> None:

@@ -1,5 +1,6 @@
-"""The service of parameters: names, types and meaning are PX4's. What is set lasts as long as the process
-runs.
+"""The service of parameters: names, types and meaning are PX4's.
+
+What is set lasts as long as the process runs.
 """
 
 import dataclasses
@@ -17,17 +18,9 @@ from sitl.autopilot.services import Microservice, Reply, Request
 from sitl.autopilot.vehicle import Vehicle
 
 REAL, INT = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
-FORMS = {REAL: "<f", INT: "<i"}
-"""How a value lies in the four bytes of a message: PX4 packs integers bytewise, not as a number that is
-rounded to a float.
-"""
 EXT_REAL = mavlink.MAV_PARAM_EXT_TYPE_REAL32
-NEVER = -1.0
-"""PX4's value of a time that never comes; the vehicle's is infinite."""
-HASH = "_HASH_CHECK"
-"""PX4's pseudo-parameter: a checksum of all parameters. A station that holds them already need not read
-them.
-"""
+NEVER = -1.0  # PX4's value of a time that never comes; the vehicle's is infinite
+HASH = "_HASH_CHECK"  # PX4's checksum of all parameters: a station that holds them need not read them
 NO_INDEX = 0xFFFF
 
 
@@ -35,8 +28,7 @@ class Parameter(NamedTuple):
     """A parameter, with the field of `VehicleConfig` that it sets, or, if it is fixed, with its value."""
 
     name: str
-    kind: int
-    """MAV_PARAM_TYPE."""
+    kind: int  # MAV_PARAM_TYPE
     about: str
     field: str = ""
     low: float = 0.0
@@ -51,6 +43,14 @@ class Parameter(NamedTuple):
             return "it cannot be changed"
         low, never = ("above 0", f", or {NEVER:g} for never") if self.low == NEVER else (f"{self.low:g}", "")
         return f"allowed is {low} to {self.high:g} {self.unit}".rstrip() + never
+
+    def pack(self, value: float) -> bytes:
+        """Return the four bytes of a value in a message: PX4 packs integers bytewise."""
+        return struct.pack("<i", int(value)) if self.kind == INT else struct.pack("<f", value)
+
+    def unpack(self, data: bytes) -> float:
+        """Return the value of four bytes."""
+        return float(struct.unpack("<i" if self.kind == INT else "<f", data)[0])
 
 
 def _changed(name: str, field: str, low: float, high: float, unit: str, about: str) -> Parameter:
@@ -153,56 +153,17 @@ class Parameters:
         )
 
     def value(self, parameter: Parameter) -> float:
-        """The value that a parameter has now."""
+        """Return the value that a parameter has now."""
         config = self._vehicle.config
         if parameter.name == "MAV_SYS_ID":
             return config.sysid
         value = float(getattr(config, self._field(parameter))) if parameter.field else parameter.value
         return NEVER if parameter.low == NEVER and math.isinf(value) else value
 
-    def hash(self) -> int:
-        """PX4's checksum of all names and values: CRC-32 that begins with 0 and is not inverted at its
-        end.
-        """
-        crc = 0
-        for parameter in PARAMETERS:
-            crc = crc32(parameter.name.encode(), crc)
-            crc = crc32(struct.pack(FORMS[parameter.kind], _number(parameter, self.value(parameter))), crc)
-        return crc
-
-    def _list(self, _: Request) -> Reply:
-        return Reply([self._hash_value(), *map(self._tell, PARAMETERS)])
-
-    def _read(self, request: Request) -> Reply:
-        message = request.message
-        if message.param_index < 0 and message.param_id == HASH:
-            return Reply([self._hash_value()])
-        index = message.param_index if message.param_index >= 0 else INDEX.get(message.param_id, -1)
-        if not 0 <= index < len(PARAMETERS):
-            return _unknown(request, message.param_index)
-        return Reply([self._tell(PARAMETERS[index])])
-
-    def _set(self, request: Request) -> Reply:
-        message = request.message
-        if message.param_id == HASH:  # the station holds all values already: it needs no more, as in PX4
-            return Reply([])
-        if message.param_id not in INDEX:
-            return _unknown(request, -1)
-        parameter = PARAMETERS[INDEX[message.param_id]]
-        reason = self._change(parameter, message, request.t_s)
-        return Reply([self._tell(parameter)], reason and f"{parameter.name} refused: {reason}")
-
-    def _change(self, parameter: Parameter, message: Message, t_s: float) -> str:
-        """Change a parameter; returns why not, or nothing."""
-        if message.param_type != parameter.kind:
-            return f"type {message.param_type}, wanted {parameter.kind}"
-        (value,) = struct.unpack(FORMS[parameter.kind], struct.pack("<f", message.param_value))
-        return self.change(parameter.name, value, t_s)
-
     def change(self, name: str, value: float, t_s: float) -> str:
         """Change the parameter of a name; returns why not, or nothing."""
         parameter = PARAMETERS[INDEX[name]]
-        if value == _as_wired(parameter, self.value(parameter)):
+        if value == parameter.unpack(parameter.pack(self.value(parameter))):
             return ""
         if not parameter.field or not parameter.low <= value <= parameter.high or NEVER < value <= 0.0:
             return f"{value:g}, {parameter.allowed}"
@@ -218,12 +179,40 @@ class Parameters:
         strict = math.isfinite(self._vehicle.config.stream_s)
         return "stream_s" if strict and parameter.field == "silence_s" else parameter.field
 
-    def _tell(self, parameter: Parameter) -> Message:
-        value = struct.pack(FORMS[parameter.kind], _number(parameter, self.value(parameter)))
+    # ---- requests ----
+
+    def _list(self, _: Request) -> Reply:
+        return Reply([self._hash(), *map(self._told, PARAMETERS)])
+
+    def _read(self, request: Request) -> Reply:
+        name, index = request.message.param_id, request.message.param_index
+        if index < 0 and name == HASH:
+            return Reply([self._hash()])
+        number = index if index >= 0 else INDEX.get(name, -1)
+        return Reply([self._told(PARAMETERS[number])]) if 0 <= number < len(PARAMETERS) else _unknown(request)
+
+    def _set(self, request: Request) -> Reply:
+        message = request.message
+        if message.param_id == HASH:  # the station holds all values already: it needs no more, as in PX4
+            return Reply([])
+        if message.param_id not in INDEX:
+            return _unknown(request)
+        parameter = PARAMETERS[INDEX[message.param_id]]
+        reason = f"type {message.param_type}, wanted {parameter.kind}"
+        if message.param_type == parameter.kind:
+            value = parameter.unpack(struct.pack("<f", message.param_value))
+            reason = self.change(parameter.name, value, request.t_s)
+        return Reply([self._told(parameter)], reason and f"{parameter.name} refused: {reason}")
+
+    def _told(self, parameter: Parameter) -> Message:
+        value = parameter.pack(self.value(parameter))
         return _param_value(parameter.name, value, parameter.kind, INDEX[parameter.name])
 
-    def _hash_value(self) -> Message:
-        return _param_value(HASH, struct.pack("<I", self.hash()), mavlink.MAV_PARAM_TYPE_UINT32, NO_INDEX)
+    def _hash(self) -> Message:
+        crc = 0
+        for parameter in PARAMETERS:
+            crc = crc32(parameter.name.encode() + parameter.pack(self.value(parameter)), crc)
+        return _param_value(HASH, struct.pack("<I", crc), mavlink.MAV_PARAM_TYPE_UINT32, NO_INDEX)
 
 
 def _param_value(name: str, value: bytes, kind: int, index: int) -> Message:
@@ -231,23 +220,13 @@ def _param_value(name: str, value: bytes, kind: int, index: int) -> Message:
     return mavlink.MAVLink_param_value_message(name.encode(), packed, kind, len(PARAMETERS), index)
 
 
-def _number(parameter: Parameter, value: float) -> float:
-    return int(value) if parameter.kind == INT else value
-
-
-def _as_wired(parameter: Parameter, value: float) -> float:
-    form = FORMS[parameter.kind]
-    wired: float = struct.unpack(form, struct.pack(form, _number(parameter, value)))[0]
-    return wired
-
-
 def crc32(data: bytes, crc: int) -> int:
     """Return PX4's checksum: CRC-32 that begins with 0 and is not inverted at its end."""
     return ~zlib.crc32(data, ~crc & 0xFFFFFFFF) & 0xFFFFFFFF
 
 
-def _unknown(request: Request, index: int) -> Reply:
-    name = request.message.param_id
+def _unknown(request: Request) -> Reply:
+    name, index = request.message.param_id, getattr(request.message, "param_index", -1)
     error = mavlink.MAVLink_param_error_message(
         *request.asker, name.encode(), index, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
     )

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from collections import Counter
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -11,28 +12,18 @@ from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence, NorthEast, Polygon
 from sitl.autopilot.motion import Limits
 
-NOT_GIVEN = 0x7FFFFFFF
-"""Latitude or longitude of an item that has none."""
-MOST_AT_ONCE = 2000
-"""Items that take no time may follow each other this often: a mission that jumps in a circle ends."""
+NOT_GIVEN = 0x7FFFFFFF  # latitude or longitude of an item that has none
+MOST_AT_ONCE = 2000  # items without duration that may follow each other: a mission that only jumps ends
 MOST_JUMPS = 1000
-FASTEST_MPS = 20.0
-"""Highest speed that DO_CHANGE_SPEED may set, that of MPC_XY_CRUISE."""
+FASTEST_MPS = 20.0  # highest speed that DO_CHANGE_SPEED may set, that of MPC_XY_CRUISE
 
 ABOVE_SEA = {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
 ABOVE_HOME = {mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT}
 FRAMES = ABOVE_SEA | ABOVE_HOME | {mavlink.MAV_FRAME_MISSION}
 
-TAKEOFF, LAND, RETURN = (
-    mavlink.MAV_CMD_NAV_TAKEOFF,
-    mavlink.MAV_CMD_NAV_LAND,
-    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
-)
-WAYPOINT, LOITER, LOITER_TIME = (
-    mavlink.MAV_CMD_NAV_WAYPOINT,
-    mavlink.MAV_CMD_NAV_LOITER_UNLIM,
-    mavlink.MAV_CMD_NAV_LOITER_TIME,
-)
+TAKEOFF, LAND = mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_NAV_LAND
+WAYPOINT, RETURN = mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH
+LOITER, LOITER_TIME = mavlink.MAV_CMD_NAV_LOITER_UNLIM, mavlink.MAV_CMD_NAV_LOITER_TIME
 DELAY, SPEED, JUMP = mavlink.MAV_CMD_NAV_DELAY, mavlink.MAV_CMD_DO_CHANGE_SPEED, mavlink.MAV_CMD_DO_JUMP
 FLOWN = {
     TAKEOFF: "climbs straight up, then flies to its position if it has one",
@@ -75,17 +66,7 @@ IGNORED = (
 has neither.
 """
 PLACED = {TAKEOFF, WAYPOINT, LOITER, LOITER_TIME, LAND}
-ANYWHERE = {TAKEOFF, LAND}
-"""Items that may leave out their latitude and longitude."""
-INVALID_PARAM = (
-    mavlink.MAV_MISSION_INVALID_PARAM1,
-    mavlink.MAV_MISSION_INVALID_PARAM2,
-    mavlink.MAV_MISSION_INVALID_PARAM3,
-    mavlink.MAV_MISSION_INVALID_PARAM4,
-    mavlink.MAV_MISSION_INVALID_PARAM5_X,
-    mavlink.MAV_MISSION_INVALID_PARAM6_Y,
-    mavlink.MAV_MISSION_INVALID_PARAM7,
-)
+ANYWHERE = {TAKEOFF, LAND}  # items that may leave out their latitude and longitude
 CORNER = {
     mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
     mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
@@ -94,12 +75,17 @@ CIRCLE = {mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True, mavlink.MAV_CMD_NAV_
 
 
 class BadItem(ValueError):
-    """An item that is refused; `code` is its MAV_MISSION_RESULT."""
+    """An item or a list that is refused; `code` is its MAV_MISSION_RESULT."""
 
     def __init__(self, code: int, text: str) -> None:
         """Take the result and the reason."""
         super().__init__(text)
         self.code = code
+
+
+def bad_param(number: int, text: str) -> BadItem:
+    """Return the refusal of an item because of one of its params, 1 to 7."""
+    return BadItem(mavlink.MAV_MISSION_INVALID_PARAM1 + number - 1, text)
 
 
 class Item(NamedTuple):
@@ -109,12 +95,9 @@ class Item(NamedTuple):
     frame: int
     autocontinue: int
     params: tuple[float, float, float, float]
-    x: int
-    """Latitude in 1e-7 degrees, or param 5."""
-    y: int
-    """Longitude in 1e-7 degrees, or param 6."""
-    z: float
-    """Altitude in m, or param 7."""
+    x: int  # latitude in 1e-7 degrees, or param 5
+    y: int  # longitude in 1e-7 degrees, or param 6
+    z: float  # altitude in m, or param 7
 
     @property
     def packed(self) -> bytes:
@@ -128,15 +111,12 @@ class MissionStep(NamedTuple):
     """What an item of a mission means."""
 
     command: int
-    north_east: NorthEast | None = None
-    """m from home; None: where the vehicle is."""
+    north_east: NorthEast | None = None  # m from home; None: where the vehicle is
     down_m: float = 0.0
     yaw_rad: float | None = None
     wait_s: float = 0.0
-    goes_on: bool = True
-    """False if the vehicle stays once the item is done (autocontinue 0)."""
-    value: float = 0.0
-    """Speed in m/s; or how often to jump."""
+    goes_on: bool = True  # false if the vehicle stays once the item is done (autocontinue 0)
+    value: float = 0.0  # speed in m/s; or how often to jump
     jumps_to: int = 0
 
 
@@ -154,12 +134,9 @@ class MissionProgress(NamedTuple):
     seq: int = 0
     total: int = 0
     state: int = mavlink.MISSION_STATE_NO_MISSION
-    active: bool = False
-    """True in mission mode."""
-    number: int = 0
-    """The checksum of the mission's items; 0 without a mission."""
-    reached: tuple[int, float] | None = None
-    """The item that was done last, and when, s."""
+    active: bool = False  # true in mission mode
+    number: int = 0  # the checksum of the mission's items; 0 without a mission
+    reached: tuple[int, float] | None = None  # the item that was done last, and when, s
 
 
 # ---- what items mean ----
@@ -173,64 +150,51 @@ def step(item: Item, count: int, config: VehicleConfig) -> MissionStep:
     if item.frame not in FRAMES or (command in PLACED and item.frame == mavlink.MAV_FRAME_MISSION):
         raise BadItem(mavlink.MAV_MISSION_UNSUPPORTED_FRAME, f"frame {item.frame} is not supported")
     goes_on = bool(item.autocontinue)
-    if command == SPEED:
-        _check(
-            1,
-            p1,
-            p1 in (mavlink.SPEED_TYPE_AIRSPEED, mavlink.SPEED_TYPE_GROUNDSPEED),
-            "0 or 1, a horizontal speed",
-        )
-        _check(
-            2, p2, 0.0 < p2 <= FASTEST_MPS or p2 in (-1.0, -2.0), f"above 0 to {FASTEST_MPS:g} m/s, -1 or -2"
-        )
-        return MissionStep(command, value=p2)
-    if command == JUMP:
-        _check(1, p1, p1 in range(count), f"0 to {count - 1}, an item")
-        _check(2, p2, p2 in range(MOST_JUMPS + 1), f"0 to {MOST_JUMPS}")
-        return MissionStep(command, value=p2, jumps_to=int(p1))
-    if command == DELAY:
-        _check(1, p1, 0.0 <= p1 < math.inf, "0 s and more; a time of day is not supported")
-        return MissionStep(command, wait_s=p1, goes_on=goes_on)
+    match command:
+        case mavlink.MAV_CMD_DO_CHANGE_SPEED:
+            horizontal = p1 in (mavlink.SPEED_TYPE_AIRSPEED, mavlink.SPEED_TYPE_GROUNDSPEED)
+            _check(1, p1, horizontal, "0 or 1, a horizontal speed")
+            allowed = f"above 0 to {FASTEST_MPS:g} m/s, -1 or -2"
+            _check(2, p2, 0.0 < p2 <= FASTEST_MPS or p2 in (-1.0, -2.0), allowed)
+            return MissionStep(command, value=p2)
+        case mavlink.MAV_CMD_DO_JUMP:
+            _check(1, p1, p1 in range(count), f"0 to {count - 1}, an item")
+            _check(2, p2, p2 in range(MOST_JUMPS + 1), f"0 to {MOST_JUMPS}")
+            return MissionStep(command, value=p2, jumps_to=int(p1))
+        case mavlink.MAV_CMD_NAV_DELAY:
+            _check(1, p1, 0.0 <= p1 < math.inf, "0 s and more; a time of day is not supported")
+            return MissionStep(command, wait_s=p1, goes_on=goes_on)
     if command not in PLACED:
         return MissionStep(command, goes_on=goes_on)
-    wait_s = (
-        math.inf
-        if command == LOITER
-        else p1
-        if command in (WAYPOINT, LOITER_TIME) and not math.isnan(p1)
-        else 0.0
-    )
-    _check(1, p1, wait_s >= 0.0 and (command == LOITER or wait_s < math.inf), "0 s and more")
+    wait_s = math.inf if command == LOITER else 0.0
+    if command in (WAYPOINT, LOITER_TIME) and not math.isnan(p1):
+        _check(1, p1, 0.0 <= p1 < math.inf, "0 s and more")
+        wait_s = p1
     _check(4, p4, not math.isinf(p4), "a yaw in degrees, or NaN")
-    yaw_rad = None if math.isnan(p4) else math.radians(p4)
-    anywhere = command in ANYWHERE and (NOT_GIVEN in (item.x, item.y) or (item.x, item.y) == (0, 0))
-    if command == LAND:
-        down_m = 0.0  # the ground is flat, whatever altitude the item gives
-    else:
+    down_m = 0.0  # the ground is flat, whatever altitude an item to land gives
+    if command != LAND:
         _check(7, item.z, math.isfinite(item.z), "an altitude in m")
         down_m = -(item.z - (config.home_alt_m if item.frame in ABOVE_SEA else 0.0))
+    anywhere = command in ANYWHERE and (NOT_GIVEN in (item.x, item.y) or (item.x, item.y) == (0, 0))
     north_east = None if anywhere else place(item, config)
     if outside := config.outside((*(north_east or (0.0, 0.0)), down_m), fence=north_east is not None):
-        number = 7 if outside[0] == "outside the altitudes" else 5
-        raise BadItem(INVALID_PARAM[number - 1], outside[1])
+        raise bad_param(7 if outside[0] == "outside the altitudes" else 5, outside[1])
     if command == TAKEOFF and down_m >= 0.0:
-        raise BadItem(INVALID_PARAM[6], f"take-off to {metres(-down_m)} m, allowed is above 0")
+        raise bad_param(7, f"take-off to {metres(-down_m)} m, allowed is above 0")
+    yaw_rad = None if math.isnan(p4) else math.radians(p4)
     return MissionStep(command, north_east, down_m, yaw_rad, wait_s, goes_on)
 
 
 def _check(number: int, value: float, holds: bool, allowed: str) -> None:
     if not holds:
-        raise BadItem(INVALID_PARAM[number - 1], f"param {number} is {value:g}, allowed is {allowed}")
+        raise bad_param(number, f"param {number} is {value:g}, allowed is {allowed}")
 
 
 def place(item: Item, config: VehicleConfig) -> NorthEast:
     """Return (north, east) of an item; raises BadItem unless it has a latitude and a longitude."""
-    for number, value, limit in ((5, item.x, 90), (6, item.y, 180)):
+    for number, value, limit, name in ((5, item.x, 90, "latitude"), (6, item.y, 180, "longitude")):
         if abs(value) > limit * 10_000_000:
-            raise BadItem(
-                INVALID_PARAM[number - 1],
-                f"param {number} is no {'latitude' if number == 5 else 'longitude'}",
-            )
+            raise bad_param(number, f"param {number} is no {name}")
     return config.local(item.x / 1e7, item.y / 1e7)
 
 
@@ -265,25 +229,19 @@ def check(item: Item, mission_type: int, count: int, config: VehicleConfig) -> N
     """Check an item of a list of `count` items by itself; raises BadItem."""
     if mission_type == mavlink.MAV_MISSION_TYPE_MISSION:
         step(item, count, config)
-    else:
-        _check_point(item, mission_type, config)
-
-
-def _check_point(item: Item, mission_type: int, config: VehicleConfig) -> None:
-    """Check an item of a fence or of rally points; raises BadItem."""
-    fences = mission_type == mavlink.MAV_MISSION_TYPE_FENCE
-    if item.command not in ({**CORNER, **CIRCLE} if fences else {mavlink.MAV_CMD_NAV_RALLY_POINT}):
+        return
+    is_fence = mission_type == mavlink.MAV_MISSION_TYPE_FENCE
+    if item.command not in ({**CORNER, **CIRCLE} if is_fence else {mavlink.MAV_CMD_NAV_RALLY_POINT}):
         raise BadItem(mavlink.MAV_MISSION_UNSUPPORTED, f"command {item.command} is not supported")
     if item.frame not in ABOVE_SEA | ABOVE_HOME:
         raise BadItem(mavlink.MAV_MISSION_UNSUPPORTED_FRAME, f"frame {item.frame} is not supported")
-    north, east = place(item, config)
-    p1 = item.params[0]
+    north_east, p1 = place(item, config), item.params[0]
     if item.command in CORNER:
         _check(1, p1, 3.0 <= p1 < math.inf and p1 == int(p1), "a count of 3 vertices and more")
     elif item.command in CIRCLE:
         _check(1, p1, 0.0 < p1 < math.inf, "a radius above 0 m")
-    elif outside := config.outside((north, east, 0.0)):
-        raise BadItem(INVALID_PARAM[4], outside[1])
+    elif outside := config.outside((*north_east, 0.0)):
+        raise bad_param(5, outside[1])
 
 
 # ---- which step is flown ----
@@ -297,17 +255,16 @@ class FlightPlan:
         self.steps, self.number = steps, number
         self.current = 0
         self.begun = self.finished = False
-        self.reached: tuple[int, float] | None = None
-        """The step that was done last, and when, s."""
-        self._jumps: dict[int, int] = {}  # how often each jump was taken
-        self._speed_mps: float | None = None
+        self.reached: tuple[int, float] | None = None  # the step that was done last, and when, s
+        self._jumps: Counter[int] = Counter()  # how often each jump was taken
+        self._speed_mps = 0.0  # 0: that of the configuration
         self._now_s, self._at_once = 0.0, 0
 
     def set_current(self, seq: int) -> None:
         """Go on with a step; all jumps count anew."""
         self.current, self.finished = seq, False
         self._jumps.clear()
-        self._speed_mps = self._speed_mps if seq else None
+        self._speed_mps = self._speed_mps if seq else 0.0
 
     def leg(self, t_s: float, at: Ned, grounded: bool, config: VehicleConfig) -> Leg | None:
         """Carry out what needs no flight; return the leg of the first step that does, None at the end of
@@ -323,38 +280,35 @@ class FlightPlan:
         while self.current < len(self.steps) and self._at_once < MOST_AT_ONCE:
             self._at_once += 1
             now = self.steps[self.current]
-            if now.command == JUMP and self._jumps.get(self.current, 0) < now.value:
-                self._jumps[self.current] = self._jumps.get(self.current, 0) + 1
-                self.current = now.jumps_to
-            elif now.command == SPEED:
-                self._speed_mps = (
-                    now.value if now.value > 0.0 else None if now.value == -2.0 else self._speed_mps
-                )
-                self.current += 1
-            elif now.command == JUMP or now.command in IGNORED:
-                self.current += 1
-            else:
-                speed = config.limits.speed_mps if self._speed_mps is None else self._speed_mps
-                return Leg(now, _stops(now, at, grounded, config), config.limits._replace(speed_mps=speed))
+            if now.command not in (JUMP, SPEED, *IGNORED):
+                limits = config.limits._replace(speed_mps=self._speed_mps or config.speed_mps)
+                return Leg(now, _stops(now, at, grounded, config), limits)
+            self.current = self._after(now)
         self.end()
         return None
+
+    def _after(self, now: MissionStep) -> int:
+        """Carry out a step that needs no flight; return the number of the next one."""
+        if now.command == SPEED and now.value != -1.0:
+            self._speed_mps = max(now.value, 0.0)
+        if now.command != JUMP or self._jumps[self.current] >= now.value:
+            return self.current + 1
+        self._jumps[self.current] += 1
+        return now.jumps_to
 
     def end(self) -> None:
         """End the mission; the next start begins with the first step."""
         self.current, self.finished = len(self.steps) - 1, True
 
     def progress(self, active: bool, flying: bool) -> MissionProgress:
-        """Tell how far it is; `active` says whether the vehicle is in mission mode, `flying` whether it is
-        also armed.
-        """
+        """Return how far it is. active: the vehicle is in mission mode; flying: it is also armed."""
         if not self.steps:
             return MissionProgress(active=active)
+        state = mavlink.MISSION_STATE_PAUSED if self.begun else mavlink.MISSION_STATE_NOT_STARTED
         if self.finished:
             state = mavlink.MISSION_STATE_COMPLETE
         elif active and flying:
             state = mavlink.MISSION_STATE_ACTIVE
-        else:
-            state = mavlink.MISSION_STATE_PAUSED if self.begun else mavlink.MISSION_STATE_NOT_STARTED
         return MissionProgress(self.current, len(self.steps), state, active, self.number, self.reached)
 
 

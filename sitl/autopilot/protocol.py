@@ -97,12 +97,8 @@ class MavlinkProtocol(Words):
         if message.target_system == 0 and not (known and known.for_all):
             return self.refuse(message, BROADCAST)
         answers: list[Message] = []
-        result = obey(
-            message.command,
-            CommandRequest(
-                params(message), self._vehicle, self._parameters, request.t_s, request.streams, answers
-            ),
-        )
+        asked = CommandRequest(self._vehicle, self._parameters, request.t_s, request.streams, answers)
+        result = obey(message.command, asked, params(message))
         ack, *reason = self.answer(message, message.command, result)
         return [ack, *answers, *reason]
 

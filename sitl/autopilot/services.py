@@ -102,8 +102,8 @@ def log_erase(_: Request) -> Reply:
     return Reply([], "Logs not erased: none on board")
 
 
+# Sequence number, session, opcode, size, requested opcode, burst complete, padding, offset.
 FTP_HEADER = struct.Struct("<HBBBBBxI")
-"""Sequence number, session, opcode, size, requested opcode, burst complete, padding, offset."""
 FTP_PAYLOAD = 251  # bytes, header included
 FTP_ERROR = {
     mavlink.MAV_FTP_OPCODE_TERMINATESESSION: mavlink.MAV_FTP_ERR_INVALIDSESSION,
@@ -122,8 +122,8 @@ FTP_ERROR = {
     mavlink.MAV_FTP_OPCODE_CREATEDIRECTORY: mavlink.MAV_FTP_ERR_FILEPROTECTED,
 }
 """The error of each opcode: there are no sessions and no files, and nothing can be written."""
+# Opcodes that ask for nothing, or for what is so already: acknowledged.
 FTP_HARMLESS = {mavlink.MAV_FTP_OPCODE_NONE, mavlink.MAV_FTP_OPCODE_RESETSESSION}
-"""Opcodes that ask for nothing, or for what is so already: acknowledged."""
 FTP_ANSWERS = {mavlink.MAV_FTP_OPCODE_ACK, mavlink.MAV_FTP_OPCODE_NAK}
 
 

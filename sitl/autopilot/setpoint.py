@@ -27,8 +27,7 @@ NOT_WHOLE = denied(
     "not whole",
 )
 
-Parts = tuple[float | None, float | None, float | None]
-"""North, east, down; None is ignored."""
+Parts = tuple[float | None, float | None, float | None]  # north, east, down; None is ignored
 NONE: Parts = (None, None, None)
 
 

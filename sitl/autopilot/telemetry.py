@@ -14,12 +14,9 @@ from link.bus.px4 import AvailableModesMonitor, CurrentMode, MissionCurrent
 from sitl.autopilot import messages
 from sitl.autopilot.messages import Snapshot
 
-FASTEST_HZ = 1000.0
-"""Highest rate that a client can set."""
+FASTEST_HZ = 1000.0  # highest rate that a client can set
+# Stations take a vehicle without heartbeats for lost: a client can neither turn them off nor slow them down.
 SLOWEST_HEARTBEAT_US = 1_000_000.0
-"""Stations take a vehicle without heartbeats for lost: a client can neither turn them off nor slow them
-down.
-"""
 
 
 class Stream(NamedTuple):
@@ -98,11 +95,9 @@ class Telemetry:
         if message_id not in STREAM or not (interval_us >= 0.0 or interval_us == -1.0):
             return UNSUPPORTED
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT and not 0.0 <= interval_us <= SLOWEST_HEARTBEAT_US:
-            return denied(
-                f"Interval refused: HEARTBEAT has at most {SLOWEST_HEARTBEAT_US:.0f} us and stays on"
-            )
-        default = STREAM[message_id].rate_hz if interval_us == 0.0 else 0.0
-        rate = min(1e6 / interval_us, FASTEST_HZ) if interval_us > 0.0 else default
+            longest = f"{SLOWEST_HEARTBEAT_US:.0f} us"
+            return denied(f"Interval refused: HEARTBEAT has at most {longest} and stays on")
+        rate = STREAM[message_id].rate_hz if interval_us == 0.0 else min(1e6 / interval_us, FASTEST_HZ)
         self._rate_hz.pop(message_id, None)
         self._next_s.pop(message_id, None)
         if rate > 0.0:

@@ -29,7 +29,7 @@ from aircraft.state import (
 )
 from sitl.autopilot import plan
 from sitl.autopilot.config import HOLD, LAND, RETURN, TERMINATE, VehicleConfig
-from sitl.autopilot.motion import Motion, Spin, Trajectory, Turn, fall, halt, tilt, wrapped
+from sitl.autopilot.motion import Motion, Trajectory, fall, halt, tilt, turn, wrapped
 from sitl.autopilot.offboard import SAME_PLACE_M, Companion, clamped, facing, steered, wants_to_move
 from sitl.autopilot.plan import FlightPlan, Leg, MissionProgress, MissionStep
 from sitl.autopilot.setpoint import Setpoint
@@ -48,11 +48,9 @@ FENCE_ACTIONS = {
 class Breaches(NamedTuple):
     """How often and when the fence was left."""
 
-    outside: bool = False
-    """True while the vehicle is outside."""
+    outside: bool = False  # true while the vehicle is outside
     times: int = 0
-    last_s: float = 0.0
-    """Time of the last breach; 0 if there was none."""
+    last_s: float = 0.0  # time of the last breach; 0 if there was none
 
 
 class State(NamedTuple):
@@ -70,19 +68,12 @@ class State(NamedTuple):
     yaw_rate: float
     mode: Mode
     armed: bool
-    landed_state: int
-    """MAV_LANDED_STATE."""
+    landed_state: int  # MAV_LANDED_STATE
     failsafe: bool
-    battery: float
-    """Remaining charge, 0 to 1."""
-    fit: bool
-    """False if the battery is empty or the vehicle is falling: it then cannot be armed."""
-    target: Ned
-    """Where the current path ends."""
-    cruise: Ned | None = None
-    """The velocity that a companion asks for, within the limits; None on the way to a position or while it
-    asks for an acceleration.
-    """
+    battery: float  # remaining charge, 0 to 1
+    fit: bool  # false if the battery is empty or the vehicle is falling: it then cannot be armed
+    target: Ned  # where the current path ends
+    cruise: Ned | None = None  # the velocity that a companion asks for, within the limits, if it asks for one
     mission: MissionProgress = MissionProgress()
     breaches: Breaches = Breaches()
 
@@ -146,7 +137,7 @@ class Vehicle:
         self._has_flown = False  # since it was armed
         self._path = Trajectory(0.0, ZERO)
         heading = wrapped(math.radians(config.home_heading_deg))
-        self._turn: Turn | Spin = Turn(0.0, heading, heading, math.radians(config.yaw_rate_dps))
+        self._turn = turn(0.0, heading, heading, math.radians(config.yaw_rate_dps))
         self._leg: Leg | None = None  # of the mission, while one is flown
         self._left_s = math.inf  # when the path leaves the fence
         self._breaches = Breaches()
@@ -507,13 +498,13 @@ class Vehicle:
         """A velocity or an acceleration has come to rest: go on if it leads elsewhere, such as along the
         edge; else say so, once.
         """
-        setpoint, turn, config, position = self.companion.setpoint, self._turn, self.config, self._path.target
+        setpoint, config, position = self.companion.setpoint, self.config, self._path.target
         assert setpoint is not None
         way = steered(setpoint, self.now_s, self._motion, config)
         if math.dist(way.target, position) > SAME_PLACE_M:
-            self._end_told = None
+            turning, self._end_told = self._turn, None
             self._fly(way)
-            self._turn = turn
+            self._turn = turning
         elif position != self._end_told and wants_to_move(setpoint, config.limits):
             self._end_told = position
             north, east, down = position

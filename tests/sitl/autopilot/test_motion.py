@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from aircraft.state import ZERO
-from sitl.autopilot.motion import GRAVITY_MPS2, Limits, Motion, Trajectory, Turn, fall, halt, tilt, wrapped
+from sitl.autopilot.motion import GRAVITY_MPS2, Limits, Motion, Trajectory, fall, halt, tilt, turn, wrapped
 from sitl.autopilot.offboard import Box, Push, safe_s
 
 LIMITS = Limits(speed_mps=5.0, climb_mps=3.0, descent_mps=1.5, accel_mps2=3.0)
@@ -135,11 +135,11 @@ def test_a_fall_from_20_m_takes_2_s():
 
 
 def test_a_turn_goes_the_shorter_way_round_at_its_rate():
-    turn = Turn(1.0, math.radians(170.0), math.radians(-170.0), math.radians(10.0))
-    assert turn.end_s == pytest.approx(3.0)
-    assert turn.at(1.5) == pytest.approx((math.radians(175.0), math.radians(10.0)))
-    assert turn.at(2.5)[0] == pytest.approx(math.radians(-175.0))
-    assert turn.at(turn.end_s) == (math.radians(-170.0), 0.0)
+    turning = turn(1.0, math.radians(170.0), math.radians(-170.0), math.radians(10.0))
+    assert turning.end_s == pytest.approx(3.0)
+    assert turning.at(1.5) == pytest.approx((math.radians(175.0), math.radians(10.0)))
+    assert turning.at(2.5)[0] == pytest.approx(math.radians(-175.0))
+    assert turning.at(turning.end_s) == (math.radians(-170.0), 0.0)
 
 
 @given(st.floats(-100.0, 100.0))
