@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "folder",
         type=Path,
         metavar="DIR",
-        help="where they are kept; what is there already stays, the CA above all",
+        help="where they are kept; existing certificates stay, the CA above all",
     )
     parser.add_argument(
         "--vehicles",

@@ -7,12 +7,10 @@ import contextlib
 import faulthandler
 import os
 
-INTERRUPTED = 130
-"""Exit status of a command that was interrupted."""
+INTERRUPTED = 130  # exit status of a command that was interrupted
+# On this signal a process writes the stacks of its threads to stderr, even if it hangs. A stopped one does so
+# when it continues.
 STACKS = signal.SIGUSR1
-"""The signal on which a process writes to stderr where each of its threads is, also if it hangs. One that
-is stopped does so later.
-"""
 
 
 def end_at_once() -> None:

@@ -15,21 +15,16 @@ from typing import Any, NoReturn
 
 from link.early import INTERRUPTED, tell_stacks
 
-STREAMS = (1, 2)
-"""File descriptors of stdout and stderr."""
+STREAMS = (1, 2)  # file descriptors of stdout and stderr
+# The environment variable with the launcher's process id: its parts end with it, however it ends.
 LAUNCHER = "PLUMEWARD_LAUNCHER"
-"""The environment variable by which a launcher tells its parts its process id: they end with it, however
-it ends.
-"""
+# Poll interval for the launcher; then interval and number of SIGTERMs before the part exits by force.
 LOOK_S, AGAIN_S, AGAIN_TIMES = 0.2, 1.0, 30
-"""How often a part looks for its launcher, where it must; and once that has gone, how often and how many
-times it is told to end, before it is made to."""
+# When a signal that could not be answered is sent again, and how long loading and compiling may delay the
+# answer.
 SOON_S, LOADING_S = 0.05, 1.0
-"""After how long a signal that could not be answered is sent again, and how long loading and compiling may
-delay the answer.
-"""
+# In the path of each file of numba. An exception there comes out of its C code as a SystemError.
 NUMBA = f"{os.sep}numba{os.sep}"
-"""In the path of each file of numba. An exception there comes out of its C code as a SystemError."""
 _lost: queue.SimpleQueue[int] = queue.SimpleQueue()
 _unanswered_since: float | None = None
 _lost_thread = False
@@ -62,9 +57,7 @@ def on_end(handler: Callable[[int], object]) -> dict[int, Any]:
 
 
 def let_go_of_the_terminal() -> None:
-    """Point stdout and stderr at nothing if their terminal has been closed: whoever writes a last line
-    there would fail.
-    """
+    """Point stdout and stderr at nothing if their terminal has been closed: a last line there would fail."""
     closed = [stream for stream in STREAMS if polled(stream) & select.POLLHUP]
     if closed:
         discard(closed)
@@ -156,7 +149,7 @@ def _interrupt(number: int) -> None:
     if _unanswered_since is None:
         _unanswered_since = now_s
     if now_s - _unanswered_since >= LOADING_S:
-        leave()  # so long only a command loads that has not begun, and has nothing to lose
+        leave()  # only a command that has not begun loads for this long: it has nothing to lose
     _lost.put(number)
 
 

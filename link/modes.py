@@ -55,7 +55,7 @@ MEANINGS = {
 
 
 def mode_name(autopilot: int, custom_mode: int) -> str:
-    """Return a mode's name for people; one that is not known is told by its number."""
+    """Return a mode's name for people; the number of an unknown one."""
     if name := NAMES.get(autopilot, {}).get(custom_mode):
         return name
     return (

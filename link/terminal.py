@@ -11,12 +11,9 @@ from typing import TYPE_CHECKING, TextIO
 if TYPE_CHECKING:
     from rich.console import Group
 
-GAP = 2
-"""Spaces between two columns."""
-LONGEST_WORD = 11
-"""Characters. A longer heading is broken if its cells are narrower."""
-UNLIMITED = 100_000
-"""Columns of a line that nothing limits."""
+GAP = 2  # spaces between two columns
+LONGEST_WORD = 11  # characters. A longer heading is broken if its cells are narrower
+UNLIMITED = 100_000  # columns of a line that nothing limits
 
 
 @dataclass(frozen=True)
@@ -25,20 +22,14 @@ class Column:
 
     heading: str
     cells: Sequence[str]
-    rank: int = 0
-    """Columns of the highest rank are left out first; those of rank 0 never."""
-    name: str = ""
-    """Its name in the note about left-out columns; empty: its heading."""
-    left: bool = False
-    """Aligned to the left; numbers are aligned to the right."""
+    rank: int = 0  # columns of the highest rank are left out first; those of rank 0 never
+    name: str = ""  # its name in the note about left-out columns; empty: its heading
+    left: bool = False  # aligned to the left; numbers are aligned to the right
     stacks: bool = False
     """True: on a narrow terminal the heading is broken at its comma, and each cell at its first space."""
-    least: int | None = None
-    """A longer cell may be cut to this many characters; None: never cut."""
-    keeps_end: bool = False
-    """True: a cut cell keeps its end, as a path should; False: its beginning."""
-    styles: Sequence[str] = ()
-    """A style of rich for each cell."""
+    least: int | None = None  # a longer cell may be cut to this many characters; None: never cut
+    keeps_end: bool = False  # true: a cut cell keeps its end, as a path should; False: its beginning
+    styles: Sequence[str] = ()  # a style of rich for each cell
 
     @property
     def width(self) -> int:
@@ -137,9 +128,7 @@ def table(
 
 
 def printable(text: str) -> str:
-    """Return text that may be a stranger's as one line: escape sequences, line breaks and all else that is
-    no letter show as in Python.
-    """
+    """Return a stranger's text as one line: unprintable characters are escaped as in Python."""
     return (
         text
         if text.isprintable()

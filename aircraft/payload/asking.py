@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from aircraft.payload.messages import Sample, Wind, pack_question, unpack_answer
 from aircraft.state import Ned
+from link.bus.backoff import Backoff
 from link.bus.keys import RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.mavlink import Codec
 
@@ -26,8 +27,7 @@ class Asking:
         """Packs the questions."""
         self._clock = clock
         self._open: tuple[int, bytes] | None = None  # time_boot_ms of the question, and its frames
-        self._wait_s = RESEND_FIRST_S
-        self._due_s = math.inf
+        self._again = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
 
     @property
     def waiting(self) -> bool:
@@ -43,21 +43,17 @@ class Asking:
         """
         frames = pack_question(self.codec, time_boot_ms, number, position, wind)
         self._open = time_boot_ms, frames
-        self._wait_s = RESEND_FIRST_S
-        self._due_s = self._clock() + self._wait_s
+        self._again.tried(self._clock())
         self._send(frames)
 
     def again(self) -> None:
         """Ask again if it is time to."""
-        if self._open is None or self._clock() < self._due_s:
-            return
-        self._wait_s = min(2 * self._wait_s, RESEND_LAST_S)
-        self._due_s = self._clock() + self._wait_s
-        self._send(self._open[1])
+        if self._open and self._again.due(self._clock()):
+            self._send(self._open[1])
 
     def next_s(self) -> float:
         """Return when `again` is to be called, by the clock; infinity if no question is open."""
-        return self._due_s if self._open else math.inf
+        return self._again.due_s if self._open else math.inf
 
     def receive(self, payload: bytes) -> Sample | None:
         """Return the answer to the open question, which is then closed; None for any other. Raises
@@ -66,5 +62,5 @@ class Asking:
         sample = unpack_answer(payload)
         if self._open is None or sample.time_boot_ms != self._open[0]:
             return None
-        self._open, self._due_s = None, math.inf
+        self._open = None
         return sample

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.frames import LAYOUTS, fields_of
+from link.bus.frames import messages_in
 from link.bus.mavlink import GAS_NAME, BadFrame, Codec, gas_message, split, wind_message
 
 NUMBER_NAME = "sample"
@@ -98,9 +98,7 @@ Said = Mapping[str, Mapping[str, Any]]
 def _said(payload: bytes) -> tuple[Said, int]:
     """Return the messages of a payload, and the system id of its first frame."""
     frames = split(payload)
-    return {LAYOUTS[f.message_id].kind: fields_of(f) for f in frames if f.message_id in LAYOUTS}, frames[
-        0
-    ].system
+    return messages_in(frames), frames[0].system
 
 
 def _wanted(said: Said, kind: str, what: str) -> Mapping[str, Any]:

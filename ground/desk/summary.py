@@ -8,6 +8,7 @@ import statistics
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
@@ -253,20 +254,19 @@ def _row(entry: "Entry", fields: dict[str, Any]) -> Row:
 
 def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield (export name, fields) of a message; nothing for a message that breaks the bus contract."""
-    from link.bus.mavlink import BadFrame, flat_reading
-    from link.record.decoded import decode
+    from msgspec import structs
+
+    from link.bus.mavlink import BadFrame
+    from link.record.decoded import decode, decode_reading
     from link.record.record import FRAME_KEYS
 
     if entry.key in FRAME_KEYS:
-        try:
-            messages = decode(entry.payload)
-        except BadFrame:
-            return
-        if entry.key == "reading":
-            fields = {message.kind: json.loads(message.fields) for message in messages}
-            yield "reading", flat_reading(fields)
-        else:
-            yield from ((f"{entry.key}/{message.kind}", json.loads(message.fields)) for message in messages)
+        with suppress(BadFrame):
+            if entry.key == "reading":
+                yield "reading", structs.asdict(decode_reading(entry.payload))
+            else:
+                for message in decode(entry.payload):
+                    yield f"{entry.key}/{message.kind}", json.loads(message.fields)
         return
     try:
         fields = json.loads(entry.payload)

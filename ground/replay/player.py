@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from ground.replay import verify
 from ground.replay.source import SERVICES, VEHICLE_KEYS, Source, reading_time
 from ground.replay.verify import Answer, Difference, Rules
+from link.bus.backoff import Backoff
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, READING, RESEND_FIRST_S, RESEND_LAST_S, STOP, WAYPOINT
 from link.bus.messages import Belief, Health
@@ -95,7 +96,7 @@ class Player:
         self._reading: Entry | None = None
         self._first_ms, self._latest_ms, self._shown_ms = -1, -1, -1
         self._published_at = 0.0
-        self._resend_at, self._resend_s = math.inf, RESEND_FIRST_S
+        self._resending = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
         self._last: Belief | None = None
         self._ceased_at: int | None = None
         self._flown_m = 0.0
@@ -153,8 +154,7 @@ class Player:
             (time, kind) for time, kind in self._due if time >= self._first_ms and kind not in self._given_up
         }
         self._published_at = time.monotonic()
-        self._resend_s = RESEND_FIRST_S
-        self._resend_at = self._published_at + self._resend_s
+        self._resending.tried(self._published_at)
 
     def _wait_for_answers(self) -> float:
         """Wait for all answers due; returns the time it took, s. A missing answer is a difference or a
@@ -188,12 +188,10 @@ class Player:
         vehicle does.
         """
         while not self._difference and (self._due or not for_answers) and (now := time.monotonic()) < until:
-            if self._due and now >= self._resend_at:
+            if self._due and self._resending.due(now):
                 assert self._reading is not None
                 self._bus.publish(READING, self._reading.payload)
-                self._resend_s = min(2 * self._resend_s, RESEND_LAST_S)
-                self._resend_at = now + self._resend_s
-            self._take(self._bus.receive(min(until, self._resend_at if self._due else math.inf) - now))
+            self._take(self._bus.receive(min(until, self._resending.due_s if self._due else math.inf) - now))
 
     # ---- what arrives ----
 

@@ -18,7 +18,7 @@ from ground.view.roster import Presence, Roster
 from link.access.identity import AccessError, secured
 from link.bus.keys import KEYS, MAVLINK_IN, MAVLINK_OUT
 from link.bus.opening import NoRouter
-from link.bus.session import Stamped
+from link.bus.session import Arrival
 from link.record.record import SimulationClock
 from link.record.tap import Tap
 from scene.follow.history import History, WindTurn
@@ -129,7 +129,7 @@ class LiveVehicle:
             self._judge_at = now_s + JUDGE_S
         return changed
 
-    def _take(self, message: Stamped) -> bool:
+    def _take(self, message: Arrival) -> bool:
         time_s = self._clock.time_s(message.name, message.payload, message.published_ns)
         if message.name == MAVLINK_OUT.name:
             for listener in tuple(self.listeners):

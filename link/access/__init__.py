@@ -1,5 +1,4 @@
-"""Who may do what on the bus: roles, certificates, the router's rules, why a connection is refused, whom
-an address is open to.
+"""Who may do what on the bus: roles, certificates, rules, reasons of refusals, open addresses.
 
 Imports: nothing of ours.
 """

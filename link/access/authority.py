@@ -19,10 +19,10 @@ from link.access.roles import OF_A_VEHICLE, OF_ALL_VEHICLES, ROUTER, common_name
 
 CA = "ca"
 CA_DAYS = 3650
+# Certificates hold from a little before now: the clocks of two machines differ.
 EARLIER = datetime.timedelta(minutes=5)
-"""Certificates hold from a little before now: the clocks of two machines differ."""
 ROUTER_NAMES = ("localhost", "127.0.0.1", "::1", "router")
-OTHERWISE = "delete it and its key, or give --force"
+REPLACE = "delete it and its key, or give --force"
 HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?<!-)(\.(?!-)[A-Za-z0-9-]{1,63}(?<!-))*")
 
 
@@ -93,21 +93,19 @@ def make(
             kept = _read(path)
             if not issued(kept, ca.certificate):
                 raise CertificateError(
-                    f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {OTHERWISE}"
+                    f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {REPLACE}"
                 )
             made.append(Made(name, kept.not_valid_after_utc, False))
     return made
 
 
 def risks(folder: Path) -> list[str]:
-    """Return why others may come by the keys in a folder, or put theirs in their place: a line for each
-    reason.
-    """
+    """Return the ways in which others could read or replace the keys in a folder, a line for each."""
     said = []
     there = folder.resolve()
     if there != Path(os.path.abspath(folder)):
         said.append(
-            f"{folder} leads through a link to {there}: whoever may change the link chooses where keys are"
+            f"{folder} leads through a link to {there}: a user who may change the link chooses where keys are"
         )
     for place in (there, *there.parents):
         mode = place.stat().st_mode
@@ -115,7 +113,7 @@ def risks(folder: Path) -> list[str]:
             place == there or not mode & stat.S_ISVTX
         ):  # in a sticky folder others cannot rename ours
             said.append(
-                f"{place} may be written by everybody, who can so replace certificates and keys (forbid it "
+                f"{place} may be written by everybody: others can replace certificates and keys (forbid it "
                 f"with: chmod o-w {place})"
             )
     return said
@@ -127,7 +125,7 @@ def files(path: Path) -> tuple[Path, Path]:
 
 
 def _there(path: Path, *, force: bool) -> bool:
-    """Return whether a certificate and its key are there and stay."""
+    """Return whether a certificate and its key exist and are to stay."""
     there = [file for file in files(path) if os.path.lexists(file)]
     if len(there) == 1 and not force:
         missing = next(file for file in files(path) if file != there[0])
@@ -141,7 +139,7 @@ def _read(path: Path) -> x509.Certificate:
     try:
         return x509.load_pem_x509_certificate(pem.read_bytes())
     except ValueError:
-        what = "make a new CA, in another folder" if path.name == CA else OTHERWISE
+        what = "make a new CA, in another folder" if path.name == CA else REPLACE
         raise CertificateError(f"{pem} is not a certificate: {what}") from None
 
 
@@ -164,7 +162,7 @@ def _make_ca(folder: Path, begins: datetime.datetime) -> None:
     key, number = ec.generate_private_key(ec.SECP256R1()), x509.random_serial_number()
     name = _name(
         f"Plumeward development CA {number:x}"[:40]
-    )  # a name of its own: another CA is told apart by it
+    )  # its own name: it distinguishes one CA from another
     certificate = (
         x509.CertificateBuilder()
         .subject_name(name)
@@ -189,8 +187,8 @@ def _issue(
     begins: datetime.datetime,
     until: datetime.datetime,
 ) -> None:
-    """Make a certificate. A router's serves only for a router, another's only for a client: none can pose
-    as the other.
+    """Make a certificate: a router's for servers only, all others for clients only, so that none can pose as
+    the other.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     serves = ExtendedKeyUsageOID.SERVER_AUTH if name == ROUTER else ExtendedKeyUsageOID.CLIENT_AUTH

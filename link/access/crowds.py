@@ -13,10 +13,9 @@ import zenoh
 
 from link.access.roles import OF_ALL_VEHICLES
 
+# Sessions of a certificate of one vehicle, and of one of all vehicles: all recorders share one. A router
+# holds 1,000 sessions.
 MOST_OF_A_PART, MOST_FOR_ALL = 16, 250
-"""Sessions of a certificate of one vehicle, and of one of all vehicles: all recorders share one. A router
-holds 1,000 sessions.
-"""
 
 
 def most_of(name: str) -> int:
@@ -28,7 +27,6 @@ class Crowds:
     """Counts the sessions of a router by the names of their certificates, and closes what is too many."""
 
     def __init__(self, router: zenoh.Session) -> None:
-        """Begin to count the sessions of a router of this process."""
         self._held: dict[str, set[str]] = defaultdict(set)
         self._closed: Counter[str] = Counter()
         self._lock = threading.Lock()

@@ -14,8 +14,7 @@ from link.access.roles import MOST_VEHICLES, OF_A_VEHICLE, ROUTER, SERVICES, com
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
 
-PROBE_S = 1.0
-"""How long a router that does not answer is asked why."""
+PROBE_S = 1.0  # how long a router that does not answer is asked why
 
 
 class AccessError(Exception):
@@ -27,12 +26,9 @@ class Identity(NamedTuple):
 
     folder: Path
     role: str
-    name: str
-    """Its common name, such as uav/1/agent."""
-    tls: dict[str, Any]
-    """Zenoh's `transport/link/tls`."""
-    until: datetime.datetime
-    """When it expires, or its CA does."""
+    name: str  # its common name, such as uav/1/agent
+    tls: dict[str, Any]  # zenoh's `transport/link/tls`
+    until: datetime.datetime  # when it expires, or its CA does
 
     def expiry(self) -> str:
         """Return that it has expired, which closes its link, and what to do then. Empty if it is still
@@ -122,34 +118,32 @@ def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
         (named,) = own.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     except ValueError:
         raise AccessError(f"--secure: {path} or ca.pem beside it is not a certificate") from None
-    if named.value != name:
-        raise AccessError(f"--secure: {path} is the certificate of {named.value!r}; wanted that of {name!r}")
-    if not issued(own, ca):
-        raise AccessError(f"--secure: {path} is not from the CA of {folder / 'ca.pem'}")
     try:
         key = load_pem_private_key(read[f"{name}.key"], None)
     except (ValueError, TypeError):  # none, or one with a password
         key = None
-    if key is None or key.public_key() != own.public_key():
-        raise AccessError(
-            f"--secure: {path.with_suffix('.key')} is not the key of {path} (delete both and run: plumeward "
-            f"certs {folder})"
-        )
     now = datetime.datetime.now(datetime.UTC)
-    for certificate, where in ((ca, folder / "ca.pem"), (own, path)):
-        if now > certificate.not_valid_after_utc:
-            renewed = (
-                "make a new CA, in another folder"
-                if certificate is ca
-                else f"delete it and run: plumeward certs {folder}"
-            )
-            raise AccessError(
-                f"--secure: {where} expired on {certificate.not_valid_after_utc:%Y-%m-%d} ({renewed})"
-            )
-        if now < certificate.not_valid_before_utc:
-            raise AccessError(
-                f"--secure: {where} is not valid before {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC"
-            )
+    faults = [
+        (named.value != name, f"{path} is the certificate of {named.value!r}; wanted that of {name!r}"),
+        (not issued(own, ca), f"{path} is not from the CA of {folder / 'ca.pem'}"),
+        (
+            key is None or key.public_key() != own.public_key(),
+            f"{path.with_suffix('.key')} is not the key of {path} (delete both and run: plumeward certs "
+            f"{folder})",
+        ),
+    ]
+    for it, where, remedy in (
+        (ca, folder / "ca.pem", "make a new CA, in another folder"),
+        (own, path, f"delete it and run: plumeward certs {folder}"),
+    ):
+        begins, ends = it.not_valid_before_utc, it.not_valid_after_utc
+        faults += [
+            (now > ends, f"{where} expired on {ends:%Y-%m-%d} ({remedy})"),
+            (now < begins, f"{where} is not valid before {begins:%Y-%m-%d %H:%M} UTC"),
+        ]
+    for is_so, fault in faults:
+        if is_so:
+            raise AccessError(f"--secure: {fault}")
     return min(ca.not_valid_after_utc, own.not_valid_after_utc)
 
 

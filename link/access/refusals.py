@@ -1,6 +1,4 @@
-"""A router's own log, turned into lines for people: who joins, and what is refused. Zenoh tells neither
-client nor router otherwise.
-"""
+"""A router's own log as lines for people: joins and refusals. Zenoh reports them in no other way."""
 
 import contextlib
 import fcntl
@@ -11,20 +9,19 @@ import sys
 
 import zenoh
 
+# Lines only for connections and for refused messages. With `access_control=trace` a line would also say
+# which message, but there would be lines for every message that is allowed, too: that stalls a busy router.
 FILTER = (
     "off,zenoh_link_tls=debug,zenoh::net::routing::interceptor=trace,"
     "zenoh::net::routing::interceptor::access_control=off"
 )
-"""Lines only for connections and for refused messages. With `access_control=trace` a line would also say
-which message, but there would be lines for every message that is allowed, too: that stalls a busy router."""
 PIPE_BYTES = 1 << 20
-EVERY_S = 10.0
-"""The same refusal is told at most so often: a client that is refused tries again and again."""
-MOST_KINDS = 100
-"""Reasons that are told apart; those beyond are counted together."""
+EVERY_S = 10.0  # shortest time between two lines on the same refusal: a refused client tries again and again
+MOST_KINDS = 100  # reasons that are logged one by one; all others are counted together
 JOINS = re.compile(r"Accepted TLS connection on \S+: (\S+?)\. Common Name: (\S*?)\.?$")
 REFUSES = re.compile(r"zenoh_link_tls\S*: (.+?)\.? Hint: ")
 DROPS = "Msg intercepted!"
+# What Zenoh's words mean.
 MEANING = (
     ("InvalidContentType", "does not speak TLS"),
     ("UnknownIssuer", "has a certificate of another CA"),
@@ -34,7 +31,6 @@ MEANING = (
     ("certificate expired", "has an expired certificate"),
     ("fatal alert", "does not accept our certificate"),
 )
-"""What Zenoh's words mean."""
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 

@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 ROUTER = "router"
 VEHICLE, ESTIMATOR, AGENT, PAYLOAD, BRIDGE = "vehicle", "estimator", "agent", "payload", "bridge"
 OPERATOR, OBSERVER = "operator", "observer"
+# Roles of one vehicle: each vehicle has a certificate for each of them. The others are one for all
+# vehicles.
 OF_A_VEHICLE = (VEHICLE, ESTIMATOR, AGENT, PAYLOAD, BRIDGE)
-"""Roles of one vehicle: each vehicle has a certificate for each of them. The others are one for all
-vehicles.
-"""
+# Roles that may read every key of every vehicle. Only operators command.
 OF_ALL_VEHICLES = (OPERATOR, OBSERVER)
-"""Roles that may read every key of every vehicle. Only operators command."""
 EVERYBODY = (*OF_A_VEHICLE, *OF_ALL_VEHICLES)
+# The services of each role: those whose health it may publish.
 SERVICES = {
     VEHICLE: ("uav",),
     ESTIMATOR: ("estimator",),
@@ -22,16 +22,13 @@ SERVICES = {
     OPERATOR: ("view", "mission"),
     OBSERVER: ("recorder", "status"),
 }
-"""The services of each role: those whose health it may publish."""
+# The rules admit uav/1 to uav/64; the CA decides which of them there are. Each takes a router about 1 ms to
+# start, and 0.2 MB.
 MOST_VEHICLES = 64
-"""The rules admit uav/1 to uav/64; the CA decides which of them there are. Each takes a router about 1 ms
-to start, and 0.2 MB.
-"""
-HEALTH = "health/"
-"""The keys of health: one for each service."""
+HEALTH = "health/"  # the keys of health: one for each service
 WRITING = ("put", "declare_queryable", "liveliness_token", "reply")
+# Kinds of Zenoh messages that publishers and subscribers send, advanced ones and liveliness included.
 READING = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
-"""Kinds of Zenoh messages that publishers and subscribers send, advanced ones and liveliness included."""
 
 
 class Rights(NamedTuple):

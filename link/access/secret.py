@@ -11,8 +11,7 @@ class Secret(NamedTuple):
     """What such a file holds, and who may use the file."""
 
     text: str
-    mode: int
-    """The permissions of the file."""
+    mode: int  # the permissions of the file
 
 
 def read_secret(path: str | Path, wanted: str) -> Secret:

@@ -8,7 +8,7 @@ thousands a second.
 import itertools
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -17,19 +17,16 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.px4 import ADDED
 
 MAVLINK_1, MAVLINK_2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
-HEADER_1, HEADER_2 = struct.Struct("<BBxBBB"), struct.Struct("<BBBxxBBHB")
-"""MAVLink 1: magic, length, system, component, message id. MAVLink 2: magic, length, flags, system,
-component, message id (low, high).
-"""
+# Behind magic, length, flags and sequence number: system, component, and message id (MAVLink 2: low, high).
+HEADER_1, HEADER_2 = struct.Struct("<3xBBB"), struct.Struct("<5xBBHB")
 CHECKSUM, SIGNATURE = 2, mavlink.MAVLINK_SIGNATURE_BLOCK_LEN
 SIGNED = mavlink.MAVLINK_IFLAG_SIGNED
-SHORTEST = HEADER_1.size + CHECKSUM
-"""Bytes of the shortest frame: MAVLink 1 without payload."""
+SHORTEST = HEADER_1.size + CHECKSUM  # bytes of the shortest frame: MAVLink 1 without payload
 LONGEST = HEADER_2.size + 255 + CHECKSUM + SIGNATURE
-MARKER = re.compile(rb"[\xfd\xfe]")
-"""The first byte of a frame."""
+MARKER = re.compile(rb"[\xfd\xfe]")  # the first byte of a frame
+# Of HEARTBEAT: its number, and where type and autopilot are in its payload.
 HEARTBEAT, TYPE_AT, AUTOPILOT_AT = mavlink.MAVLINK_MSG_ID_HEARTBEAT, 4, 5
-"""Of HEARTBEAT: its number, and where type and autopilot are in its payload."""
+# Types in a HEARTBEAT that are no vehicle's, even if the sender forgot to say that it has no autopilot.
 NO_VEHICLES = frozenset(
     {
         mavlink.MAV_TYPE_GENERIC,
@@ -47,7 +44,6 @@ NO_VEHICLES = frozenset(
         mavlink.MAV_TYPE_LOG,
     }
 )
-"""Types in a HEARTBEAT that are no vehicle's, even if the sender forgot to say that it has no autopilot."""
 
 crc16 = mavlink.mcrf4xx or (lambda data: mavlink.x25crc(data).crc)
 
@@ -58,8 +54,7 @@ crc16 = mavlink.mcrf4xx or (lambda data: mavlink.x25crc(data).crc)
 class Frame(NamedTuple):
     """A whole frame: its bytes, and the fields of its header."""
 
-    data: bytes
-    """All of it, from its marker to its checksum or signature."""
+    data: bytes  # all of it, from its marker to its checksum or signature
     message_id: int
     system: int
     component: int
@@ -101,24 +96,15 @@ def frame_at(data: bytes, start: int = 0) -> Frame | None:
     not verify the checksum (see `checksums`).
     """
     left = len(data) - start
-    if left < SHORTEST:
+    length = frame_length(data, start) if left >= SHORTEST else 0
+    if not 0 < length <= left:
         return None
-    magic = data[start]
-    if magic == MAVLINK_2:
-        if left < HEADER_2.size + CHECKSUM:
-            return None
-        _, length, flags, system, component, low, high = HEADER_2.unpack_from(data, start)
-        message_id, length = low | high << 16, length + HEADER_2.size + CHECKSUM
-        if flags:
-            if flags != SIGNED:
-                return None
-            length += SIGNATURE
-    elif magic == MAVLINK_1:
-        _, length, system, component, message_id = HEADER_1.unpack_from(data, start)
-        length += HEADER_1.size + CHECKSUM
+    if data[start] == MAVLINK_1:
+        system, component, message_id = HEADER_1.unpack_from(data, start)
     else:
-        return None
-    return Frame(data[start : start + length], message_id, system, component) if length <= left else None
+        system, component, low, high = HEADER_2.unpack_from(data, start)
+        message_id = low | high << 16
+    return Frame(data[start : start + length], message_id, system, component)
 
 
 def frame_length(data: bytes, start: int) -> int:
@@ -126,7 +112,9 @@ def frame_length(data: bytes, start: int) -> int:
     magic, length, flags = data[start : start + 3]
     if magic == MAVLINK_1:
         return HEADER_1.size + length + CHECKSUM
-    return HEADER_2.size + length + CHECKSUM + (SIGNATURE if flags else 0) if magic == MAVLINK_2 else 0
+    if magic != MAVLINK_2 or flags not in (0, SIGNED):
+        return 0
+    return HEADER_2.size + length + CHECKSUM + (SIGNATURE if flags else 0)
 
 
 def checksums(frame: Frame, seed: bytes) -> tuple[int, int]:
@@ -148,6 +136,7 @@ def frames_in(payload: bytes) -> Iterator[Frame]:
 
 # ---- the fields of a frame ----
 
+# Bytes of each type of field.
 SIZES = {
     "char": 1,
     "int8_t": 1,
@@ -158,7 +147,6 @@ SIZES = {
     "uint32_t": 4,
     "float": 4,
 } | dict.fromkeys(("int64_t", "uint64_t", "double"), 8)
-"""Bytes of each type of field."""
 
 
 class Layout(NamedTuple):
@@ -166,13 +154,10 @@ class Layout(NamedTuple):
 
     kind: str
     size: int
-    seed: bytes
-    """CRC_EXTRA: the checksum covers this byte after the frame's own."""
+    seed: bytes  # CRC_EXTRA: the checksum covers this byte after the frame's own
     unpack: Callable[[bytes], tuple[Any, ...]]
-    counts: dict[str, int]
-    """Array length of each field, in wire order; 1 for a single value or a text."""
-    plain: bool
-    """True if no field is an array or text."""
+    counts: dict[str, int]  # array length of each field, in wire order; 1 for a single value or a text
+    plain: bool  # true if no field is an array or text
     target_at: tuple[int, int]
     """Offsets of target_system and target_component in the payload; -1 if the type has none."""
 
@@ -195,8 +180,8 @@ def _layout(message: Any) -> Layout:
     )
 
 
+# The message types that the vehicle speaks, by number.
 DIALECT: dict[int, Any] = {**mavlink.mavlink_map, **ADDED}
-"""The message types that the vehicle speaks, by number."""
 LAYOUTS = {message_id: _layout(message) for message_id, message in DIALECT.items()}
 
 
@@ -218,6 +203,12 @@ def fields_of(frame: Frame) -> dict[str, Any]:
     return dict(zip(layout.counts, values, strict=True)) if layout.plain else _grouped(values, layout.counts)
 
 
+def messages_in(frames: Iterable[Frame]) -> dict[str, dict[str, Any]]:
+    """Return the fields of frames by message type; types that LAYOUTS lacks are left out."""
+    known = (frame for frame in frames if frame.message_id in LAYOUTS)
+    return {LAYOUTS[frame.message_id].kind: fields_of(frame) for frame in known}
+
+
 def _grouped(values: tuple[Any, ...], counts: dict[str, int]) -> dict[str, Any]:
     rest = iter(values)
     grouped = {
@@ -233,12 +224,11 @@ def _text(value: bytes) -> str:
 
 # ---- frames among other bytes ----
 
+# Bytes in a delivery that look like the start of a frame and are none. Of noise one byte in 128 does; only
+# a flood comes this far.
 MOST_FALSE_STARTS = 500
-"""Bytes in a delivery that look like the start of a frame and are none. Of noise one byte in 128 does;
-only a flood comes this far.
-"""
+# What a console prints, its escape sequences included.
 TEXT = bytes({*range(0x20, 0x7F), *b"\0\a\b\t\n\r\x1b"})
-"""What a console prints, its escape sequences included."""
 
 
 class FrameStream:
@@ -250,20 +240,15 @@ class FrameStream:
     """
 
     def __init__(self) -> None:
-        """Start at the beginning of a connection."""
-        self.garbage = 0
-        """Bytes so far that belong to no frame."""
+        self.garbage = 0  # bytes so far that belong to no frame
+        # How many of them came before the first frame and are text, or noise that is no longer than
+        # a frame.
         self.opening = 0
-        """How many of them came before the first frame and are text, or noise that is no longer than a
-        frame.
-        """
-        self.rest = b""
-        """What came last and is no whole frame yet."""
+        self.rest = b""  # what came last and is no whole frame yet
         self._layouts = layouts()
         self._noise_left = LONGEST
         self._heard = False
-        self._in_step = True
-        """Whether a frame must begin where the rest begins."""
+        self._in_step = True  # whether a frame must begin where the rest begins
 
     def take(self, data: bytes, *, datagram: bool = False) -> list[Frame]:
         """Return the frames that are now complete; after MOST_FALSE_STARTS the rest of the delivery is
@@ -322,6 +307,4 @@ class FrameStream:
 
 def _may_begin(head: bytes, left: int) -> bool:
     """Whether a frame whose first bytes are `head` is longer than the bytes that are left."""
-    if head[0] == MAVLINK_2 and len(head) == 3 and head[2] & ~SIGNED:
-        return False
     return len(head) < 3 or left < frame_length(head, 0)

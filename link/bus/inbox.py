@@ -1,5 +1,4 @@
-"""What bounds what a service holds: the inbox, in which messages wait for its loop, and the names of
-services that it takes notice of.
+"""The bounds of what a service holds: messages that wait for its loop, and names of other services.
 
 A flood drops messages, but never fills memory or blocks a sender.
 """
@@ -11,35 +10,30 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from link.access.roles import SERVICES
 from link.bus.log import Log
 from link.bus.tally import OVERFLOW, STRANGER
 
+# Most messages that wait per key, in addition to the key's kept ones. Beyond that the oldest are dropped,
+# so that the flight goes on.
 WAITING_MESSAGES = 4096
-"""Most messages that wait per key, in addition to the key's kept ones. Beyond that the oldest are dropped,
-so that the flight goes on.
-"""
-WAITING_BYTES = 256 * 2**20
-"""Most bytes that wait per key; a belief of a million particles has up to 36 MB."""
-BURST_S = 10.0
-"""Drops less than this apart belong to one burst."""
+WAITING_BYTES = 256 * 2**20  # most bytes that wait per key; a belief of a million particles has up to 36 MB
+BURST_S = 10.0  # drops less than this apart belong to one burst
+# The names of our own services; all of them are admitted.
 OURS = frozenset(name for names in SERVICES.values() for name in names)
-"""The names of our own services; each is always taken notice of."""
+# Most services of other names that a process admits. Without --secure anybody may join, under any number
+# of names.
 MOST_OTHERS = 16
-"""Services of other names that a process takes notice of. Without --secure, anybody may join under any
-number of names.
-"""
-NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
-"""What the name of another service may be."""
+NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")  # what the name of another service may be
 
 
 class Overflow:
-    """Reports messages that were dropped because too many waited: counts each one, logs once per burst."""
+    """Counts messages that were dropped because too many waited, and logs each burst once."""
 
     def __init__(self, name: str) -> None:
-        """Take the name of what waits."""
         self._name = name
         self._reported = 0
         self._reported_at = -math.inf
@@ -60,19 +54,19 @@ class Overflow:
 
 
 class ServiceNames:
-    """The names of services that a process takes notice of: OURS, and the first MOST_OTHERS of others.
+    """The names of the services that a process admits: OURS, and the first MOST_OTHERS others.
+
     Safe in several threads.
     """
 
     def __init__(self) -> None:
-        """Start with OURS."""
         self._lock = threading.Lock()
         self._others: set[str] = set()
         self._refused = 0
         self._told = False
 
     def admits(self, name: str) -> bool:
-        """Whether a service of this name is taken notice of. If not, it is counted."""
+        """Whether a service of this name is admitted. If not, it is counted."""
         if name in OURS:
             return True
         with self._lock:
@@ -97,29 +91,29 @@ class ServiceNames:
 
 
 class _Lane:
-    """The waiting items of one kind, oldest first, with their sizes in bytes."""
+    """The waiting items of one kind, oldest first, each with its number and its size in bytes."""
 
     def __init__(self, name: str, most: float, newest: bool) -> None:
-        self.waiting: deque[tuple[Any, int]] = deque()
-        self.turns = 0
+        self.waiting: deque[tuple[int, Any, int]] = deque()
+        self.urgent = False
         self.dropped = 0
         self.overflow = Overflow(name)
         self._most = most
         self._newest = newest
         self._bytes = 0
 
-    def append(self, item: Any, size: int) -> None:
+    def append(self, number: int, item: Any, size: int) -> None:
         """Add an item and drop the oldest beyond the limits. With `newest`, replacing an older item does
         not count as a drop.
         """
-        self.waiting.append((item, size))
+        self.waiting.append((number, item, size))
         self._bytes += size
         while len(self.waiting) > self._most or self._bytes > WAITING_BYTES:
             self.popleft()
             self.dropped += not (self._newest and self.waiting)
 
     def popleft(self) -> Any:
-        item, size = self.waiting.popleft()
+        _, item, size = self.waiting.popleft()
         self._bytes -= size
         return item
 
@@ -131,19 +125,14 @@ class Inbox:
     """
 
     def __init__(self) -> None:
-        """Start empty."""
         self._lock = threading.Lock()
-        self._turns: deque[_Lane] = deque()
-        """The lanes in the order in which their items are taken. There are spare turns where items were
-        dropped or overtook others.
-        """
+        # Released when something comes. Not a SimpleQueue: its `get(timeout)` never returns if a
+        # signal's handler runs across the deadline (CPython 3.11 and 3.12).
         self._came = threading.Lock()
-        """Released when something comes. Not a SimpleQueue: its `get(timeout)` never returns if a signal's
-        handler runs across the deadline (CPython 3.11 and 3.12)."""
         self._came.acquire()
-        self._lanes: dict[str, _Lane] = {}
         self._own = _Lane("", math.inf, newest=False)
-        self._urgent: list[_Lane] = []
+        self._lanes = {"": self._own}
+        self._count = 0
 
     def put(self, item: Any) -> None:
         """Add an item of the service's own; it is never dropped."""
@@ -160,16 +149,13 @@ class Inbox:
         """
         with self._lock:
             lane = self._lanes.setdefault(name, _Lane(name, 1 if newest else most, newest))
-            if urgent and lane not in self._urgent:
-                self._urgent.append(lane)
-        return lambda item, size: self._add(lane, item, size)
+            lane.urgent = lane.urgent or urgent
+        return partial(self._add, lane)
 
     def _add(self, lane: _Lane, item: Any, size: int) -> None:
         with self._lock:
-            lane.append(item, size)
-            if len(lane.waiting) > lane.turns:
-                lane.turns += 1
-                self._turns.append(lane)
+            self._count += 1
+            lane.append(self._count, item, size)
             if self._came.locked():
                 self._came.release()
 
@@ -177,33 +163,18 @@ class Inbox:
         """Return the next item; raises queue.Empty if none comes within `timeout` seconds."""
         deadline = math.inf if timeout is None else time.monotonic() + timeout
         while True:
-            if self._turns:
-                with self._lock:
-                    if lane := self._next():
-                        return lane.popleft()
+            with self._lock:
+                if full := [lane for lane in self._lanes.values() if lane.waiting]:
+                    return min(full, key=_turn).popleft()
             left_s = deadline - time.monotonic()
             if left_s <= 0.0:
                 raise queue.Empty
             self._came.acquire(timeout=min(left_s, threading.TIMEOUT_MAX))
 
-    def _next(self) -> _Lane | None:
-        """Return the lane whose turn it is, and take the turn. That of an urgent item stays behind as a
-        spare one.
-        """
-        for lane in self._urgent:
-            if lane.waiting:
-                return lane
-        while self._turns:
-            lane = self._turns.popleft()
-            lane.turns -= 1
-            if lane.waiting:
-                return lane
-        return None
-
     def waiting(self) -> int:
         """Return the number of waiting items."""
         with self._lock:
-            return sum(len(lane.waiting) for lane in (self._own, *self._lanes.values()))
+            return sum(len(lane.waiting) for lane in self._lanes.values())
 
     def tell_dropped(self, log: Log) -> None:
         """Count and log the items dropped since the last call."""
@@ -211,3 +182,8 @@ class Inbox:
             lanes = [*self._lanes.values()]
         for lane in lanes:
             lane.overflow.tell(lane.dropped, log)
+
+
+def _turn(lane: _Lane) -> tuple[bool, int]:
+    """Order lanes: urgent ones first, then by their oldest item."""
+    return not lane.urgent, lane.waiting[0][0]

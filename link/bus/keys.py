@@ -14,14 +14,10 @@ class Delivery:
     """How the messages of a key are delivered."""
 
     reliable: bool = True
-    blocking: bool = False
-    """Under congestion the publisher waits; if False, the message is dropped."""
-    realtime: bool = False
-    """Overtakes waiting messages of lower priority."""
-    express: bool = False
-    """Sent at once, never batched with later messages."""
-    kept: int = 0
-    """The publisher keeps this many messages for late and returning subscribers."""
+    blocking: bool = False  # under congestion the publisher waits; if False, the message is dropped
+    realtime: bool = False  # overtakes waiting messages of lower priority
+    express: bool = False  # sent at once, never batched with later messages
+    kept: int = 0  # the publisher keeps this many messages for late and returning subscribers
     recovered: int = 0
     """It keeps this many for subscribers that find a gap, such as those whose link was down; late ones do
     not get them.
@@ -39,12 +35,10 @@ class Key:
     delivery: Delivery
     rate: str
     meaning: str
-    writers: tuple[str, ...] = ()
-    """The roles that may publish it, with --secure."""
+    writers: tuple[str, ...] = ()  # the roles that may publish it, with --secure
     readers: tuple[str, ...] = ()
     """The roles that may receive it, with --secure; operators and observers always may."""
-    most_mib: int = 1
-    """Most MiB of a message and its attachment: the router drops a larger one."""
+    most_mib: int = 1  # most MiB of a message and its attachment: the router drops a larger one
 
     @property
     def rights(self) -> Rights:
@@ -169,7 +163,6 @@ HEALTH = Key(
 
 KEYS = (MAVLINK_OUT, MAVLINK_IN, WAYPOINT, READING, PAYLOAD_IN, PAYLOAD_OUT, BELIEF, STOP, HEALTH)
 
-SEARCHERS = frozenset({"estimator", "agent"})
-"""The search begins when these services have joined the bus."""
+SEARCHERS = frozenset({"estimator", "agent"})  # the search begins when these services have joined the bus
+# First and longest real time after which an unanswered reading is sent again; it doubles each time.
 RESEND_FIRST_S, RESEND_LAST_S = 0.25, 2.0
-"""First and longest real time after which an unanswered reading is sent again; it doubles each time."""

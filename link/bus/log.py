@@ -14,8 +14,7 @@ from typing import Any, TextIO
 from link.bus.tally import Tally
 
 LEVELS = ("debug", "info", "warning", "error")
-PIECE = select.PIPE_BUF // 4
-"""Characters that a pipe which takes more takes at once."""
+PIECE = select.PIPE_BUF // 4  # characters that a pipe which takes more takes at once
 LINE = re.compile(rf'time=\S+ level=({"|".join(LEVELS)}) service=(\S+) mission=\S+ step=-?\d+ event=(".*")')
 
 
@@ -114,15 +113,14 @@ def _takes_more(stream: TextIO) -> bool:
     """Whether a stream takes a `PIECE` without a wait: a pipe may be full, and a terminal stand still."""
     try:
         descriptor = stream.fileno()
-    except (AttributeError, OSError, ValueError):  # it is none of the system's
+    except (AttributeError, OSError, ValueError):  # not a file of the system
         return True
     poll = select.poll()
     poll.register(descriptor, select.POLLOUT)
     return bool(poll.poll(0))
 
 
-LOGGER = logging.getLogger("plumeward")
-"""It does not propagate to the root logger, which belongs to the user."""
+LOGGER = logging.getLogger("plumeward")  # it does not propagate to the root logger, which belongs to the user
 LOGGER.propagate = False
 LOGGER.setLevel(logging.DEBUG)
 if not LOGGER.handlers:

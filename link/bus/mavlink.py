@@ -1,26 +1,32 @@
 """MAVLink 2 frames of the search: the reading that a vehicle publishes and the waypoint that answers it."""
 
 import math
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.frames import LAYOUTS, MAVLINK_1, MAVLINK_2, SIGNED, Frame, checksums, fields_of, frame_at
+from link.bus.frames import (
+    LAYOUTS,
+    MAVLINK_1,
+    MAVLINK_2,
+    SIGNED,
+    Frame,
+    checksums,
+    frame_at,
+    messages_in,
+)
 
-Message = Any
-"""A pymavlink message; the dialect is generated code without types."""
+Message = Any  # a pymavlink message; the dialect is generated code without types
 
 GAS_NAME = "gas"
+# Types of a reading's messages, in their order.
 READING_KINDS = ("LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT")
-"""Types of a reading's messages, in their order."""
 NOT_WHOLE = "the payload is not made of whole MAVLink frames"
 ONBOARD_COMPUTER = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 
-WRAP_MS = 2**32
-"""time_boot_ms is a uint32: it wraps to zero after 49.7 days."""
+WRAP_MS = 2**32  # time_boot_ms is a uint32: it wraps to zero after 49.7 days
+# A clock that goes back has wrapped if its step modulo 2³² is at most this; else it restarted.
 WRAPPED_MS = 3_600_000
-"""A clock that goes back has wrapped if its step modulo 2³² is at most this; else it restarted."""
 
 POSITION_ONLY = (
     mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
@@ -83,7 +89,6 @@ class BadFrame(ValueError):
     """A payload that violates the bus contract; the text gives the reason."""
 
     def __init__(self, text: str, kind: str = "malformed") -> None:
-        """Take the reason and the kind that it is counted under."""
         super().__init__(text)
         self.kind = kind
 
@@ -92,7 +97,6 @@ class Codec:
     """Packs messages for one MAVLink link; each link has its own sequence numbers."""
 
     def __init__(self, system: int, component: int) -> None:
-        """Take the sender's system and component id."""
         self._mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
 
     def pack(self, *messages: Message) -> bytes:
@@ -191,37 +195,16 @@ def pack_reading(codec: Codec, reading: Reading) -> bytes:
     )
 
 
-def flat_reading(said: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return a reading in the search plane. `said` holds its messages' fields by message type; missing
-    values become None.
-
-    x east, y north, m; the wind points to where it comes from, m/s.
-    """
-    position, wind, gas = (said.get(kind, {}) for kind in READING_KINDS)
-    down, air_north, air_east = position.get("z"), wind.get("wind_x"), wind.get("wind_y")
-    return {
-        "time_boot_ms": position.get("time_boot_ms"),
-        "x": position.get("y"),
-        "y": position.get("x"),
-        "altitude_m": None if down is None else -down,
-        "wind_x": None if air_east is None else -air_east,
-        "wind_y": None if air_north is None else -air_north,
-        "gas": gas.get("value"),
-    }
-
-
 def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
     """Undo `pack_reading`; raises BadFrame with the reason. If `system` is given, frames of another system
     are refused too.
     """
-    frames = {frame.message_id: frame for frame in split(payload)}
-    if system is not None and (strangers := {frame.system for frame in frames.values()} - {system}):
+    frames = split(payload)
+    if system is not None and (strangers := {frame.system for frame in frames} - {system}):
         raise BadFrame(
             f"a reading of system {min(strangers)}; this is the estimator of system {system}", "other vehicle"
         )
-    messages = {
-        LAYOUTS[number].kind: fields_of(frame) for number, frame in frames.items() if number in LAYOUTS
-    }
+    messages = messages_in(frames)
     try:
         position, wind, gas = (messages[kind] for kind in READING_KINDS)
     except KeyError as missing:
@@ -230,14 +213,14 @@ def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
         raise BadFrame(f"NAMED_VALUE_FLOAT is {gas['name']!r}, not {GAS_NAME!r}")
     if not position["time_boot_ms"] == gas["time_boot_ms"] == wind["time_usec"] // 1000:
         raise BadFrame("the frames of the reading do not share one time_boot_ms")
-    time_boot_ms, x, y, altitude_m, wind_x, wind_y, value = flat_reading(messages).values()
-    reading = Reading(time_boot_ms, (x, y), altitude_m, (wind_x, wind_y), value)
-    for name, field in (
-        ("position", reading.position),
-        ("altitude", altitude_m),
-        ("wind", reading.wind),
-        ("gas", value),
-    ):
+    reading = Reading(
+        position["time_boot_ms"],
+        (position["y"], position["x"]),
+        -position["z"],
+        (-wind["wind_y"], -wind["wind_x"]),
+        gas["value"],
+    )
+    for name, field in zip(("position", "altitude", "wind", "gas"), reading[1:], strict=True):
         if not all(map(math.isfinite, field if isinstance(field, tuple) else (field,))):
             raise BadFrame(f"{name} is not finite: {field}", "not finite")
     return reading
@@ -291,8 +274,7 @@ def unpack_waypoint(payload: bytes, system: int) -> Message:
 
 # ---- long texts ----
 
-CHUNK = 50
-"""Characters of one STATUSTEXT (253); a longer text comes in several."""
+CHUNK = 50  # characters of one STATUSTEXT (253); a longer text comes in several
 MOST_CHUNKS = 256
 
 
@@ -300,7 +282,6 @@ class Texts:
     """Joins the STATUSTEXTs of one sender."""
 
     def __init__(self) -> None:
-        """Start without any."""
         self._begun: dict[int, str] = {}
 
     def joined(self, text: str, number: int, chunk: int) -> str | None:

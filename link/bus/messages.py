@@ -159,7 +159,7 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def stop_text(stop: Stop) -> str:
-    """Return what people are told of a stop."""
+    """Return a stop in words."""
     (x, y), spread = stop.estimate, stop.spread
     return f"the search has ceased at step {stop.step}: source at ({x:.2f}, {y:.2f}) m, spread {spread:.2f} m"
 

@@ -17,33 +17,45 @@ from link.bus.keys import BELIEF, KEYS, MIB, Delivery, Key
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
+# How much longer a part tries to join unless it is refused: over a link that drops packets it takes several
+# seconds.
 SLOW_CONNECT_S = 15.0
-"""How long we go on trying where nobody has refused us: over a link that drops packets it takes several
-seconds to join.
-"""
+# Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s.
 RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
-"""Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s."""
+# How long a router waits for a client whose queue is full before it cuts the link. Meanwhile the others wait
+# too: Zenoh forwards to one client after the other (its issues 1876 and 2585). Its default is 5 s: the stop
+# would be that late.
 FULL_S = 0.02
-"""How long a router waits for a client that takes nothing and whose queue is full, before it cuts the
-link.
-Meanwhile others wait, too: Zenoh forwards to one client after the other (its issues 1876 and 2585). By
-default it waits for 5 s, and the stop with it."""
 
+# Most bytes of a message: a belief of a million particles with all unknowns has 56 MB. Receivers drop a
+# larger one, and keep the link.
 MOST_MESSAGE = BELIEF.most_mib * MIB
-"""Most bytes of a message: a belief of a million particles with all unknowns has 56 MB. Receivers drop a
-larger one, and keep the link.
-"""
+# Fewest files that a process must be allowed to open: with less than half of them Zenoh panics.
 FEWEST_FILES = 64
-"""Fewest files that a process must be allowed to open: with less than half of them Zenoh panics."""
 
 
-MOST_QUERY = MIB
-"""Most bytes that a query may carry; ours carry none."""
+MOST_QUERY = MIB  # most bytes that a query may carry; ours carry none
 MOST_SESSIONS = 1000
+# Most connections that join a router at once, and how long each may take. With Zenoh's 100, that many silent
+# ones would keep all others out.
 MOST_JOINING, JOINING_S = 1000, 10.0
-"""Connections that may be joining a router at once, and for how long. With Zenoh's 100, as many silent
-ones keep all others out.
-"""
+
+
+SETTINGS: dict[str, Any] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "scouting/delay": 0,  # nobody to scout for: a router opens at once instead of after 0.5 s
+    "transport/link/tx/lease": 2000,  # a cut link is noticed in 2 s
+    # A belief of 4,000 particles is larger than the two batches that wait by default: where the other side is
+    # slow, it would be dropped. More of the other priorities wait, too: a router that finds their queue full
+    # cuts the link.
+    "transport/link/tx/queue/size/interactive_high": 16,
+    "transport/link/tx/queue/size/data": 16,
+    "transport/link/tx/queue/size/data_low": 16,
+    # Shared memory is no faster, wakes each process 20 times a second, loses messages silently where a
+    # receiver hangs, and leaves files behind where a process is killed.
+    "transport/shared_memory/enabled": False,
+}
 
 
 class BusError(Exception):
@@ -154,23 +166,9 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
             "ulimit -n 1024)"
         )
     config = zenoh.Config()
-    config.insert_json5("mode", json.dumps(mode))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    config.insert_json5("scouting/gossip/enabled", "false")
-    config.insert_json5(
-        "scouting/delay", "0"
-    )  # nobody to scout for: a router opens at once instead of after 0.5 s
-    config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
-    config.insert_json5("transport/link/rx/max_message_size", json.dumps(MOST_MESSAGE))
-    # A belief of 4,000 particles is larger than the two batches that wait by default: where the other side is
-    # slow, it would be dropped.
-    # More of the other priorities wait, too: a router that finds their queue full cuts the link.
-    for name in ("interactive_high", "data", "data_low"):
-        config.insert_json5(f"transport/link/tx/queue/size/{name}", "16")
-    # Shared memory is no faster, wakes each process 20 times a second, loses messages silently where a
-    # receiver hangs, and leaves files
-    # behind where a process is killed.
-    config.insert_json5("transport/shared_memory/enabled", "false")
+    sized = {"transport/link/rx/max_message_size": MOST_MESSAGE}
+    for name, value in {"mode": mode, **SETTINGS, **sized}.items():
+        config.insert_json5(name, json.dumps(value))
     for kind, urls in endpoints.items():
         try:
             config.insert_json5(f"{kind}/endpoints", json.dumps(urls))

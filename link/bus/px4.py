@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+# C type of a field: its code in `struct`.
 CODES = {"uint8_t": "B", "uint16_t": "H", "uint32_t": "I", "float": "f", "char": "s"}
-"""C type of a field: its code in `struct`."""
 
 
 class Field(NamedTuple):
@@ -17,8 +17,7 @@ class Field(NamedTuple):
     kind: str
     name: str
     length: int = 0
-    extension: bool = False
-    """True for a field that was added to the message later: checksums leave it out."""
+    extension: bool = False  # true for a field that was added to the message later: checksums leave it out
 
 
 def _message_type(number: int, name: str, *fields: Field) -> Any:

@@ -14,14 +14,12 @@ from link.bus.backoff import Backoff
 
 T = TypeVar("T")
 
+# First and longest time between two requests for missing messages; it doubles each time, since a long
+# history takes long to arrive.
 ASK_FIRST_S, ASK_LAST_S = 0.3, 2.4
-"""First and longest time between two requests for missing messages; it doubles each time, since a long
-history takes long to arrive.
-"""
-GIVE_UP_S = 5.0
-"""Missing messages are given up after this time."""
+GIVE_UP_S = 5.0  # missing messages are given up after this time
+# Most publishers remembered, the most recent ones. It is bounded because identities are easily forged.
 MOST_SOURCES = 64
-"""Most publishers remembered, the most recent ones. It is bounded because identities are easily forged."""
 
 
 @dataclass
@@ -40,8 +38,7 @@ class Sequence(Generic[T]):
         """Start empty. At most `most` messages and `most_bytes` bytes (measured by `size`) may wait for
         missing ones.
         """
-        self.dropped = 0
-        """Messages dropped for lack of room. They count as missing and are requested again."""
+        self.dropped = 0  # messages dropped for lack of room. They count as missing and are requested again
         self._most = most
         self._most_bytes = most_bytes
         self._size = size

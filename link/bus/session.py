@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeVar
 
@@ -35,14 +36,11 @@ from link.bus.sole import Sole
 from link.bus.standby import Standby
 from link.bus.tally import REPEATED, Tally
 
-MOST_REASON = 300
-"""Longest reason that is logged, characters: a reason may quote a stranger's message."""
-HEALTH_EVERY_S = 1.0
-"""Longest time between two health messages, also of an idle service."""
+MOST_REASON = 300  # longest reason that is logged, characters: a reason may quote a stranger's message
+HEALTH_EVERY_S = 1.0  # longest time between two health messages, also of an idle service
+# Waits are cut into slices of this length: the system may deliver a signal to one of Zenoh's threads, which
+# does not wake ours.
 SIGNAL_POLL_S = 0.2
-"""Waits are cut into slices of this length: the system may deliver a signal to one of Zenoh's threads,
-which does not wake ours.
-"""
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -53,36 +51,28 @@ class Arrival(NamedTuple):
     key: Key
     payload: bytes
     attachment: bytes
-    at: float = 0.0
-    """Time of arrival, by time.monotonic()."""
-    name: str = ""
-    """Of HEALTH, the service that its key names."""
-
-
-class Stamped(NamedTuple):
-    """One message from the bus, with the key and times that a record stores."""
-
-    key: Key
-    payload: bytes
-    attachment: bytes
-    name: str
-    """The key it was published on, within the namespace; for HEALTH it names the service."""
-    published_ns: int
+    at: float = 0.0  # time of arrival, by time.monotonic()
+    name: str = ""  # the key it was published on, within the namespace
+    published_ns: int = 0
     """Time of publishing, ns since the Unix epoch: by the publisher's clock, or by the router's if the
     message has no timestamp.
     """
-    received_ns: int
-    """`published_ns`, clamped to the time between the previous `take` and now. They differ only if clocks
-    differ.
+    received_ns: int = 0
+    """From a Tap: `published_ns`, clamped to the time between the previous `take` and now. They differ only
+    if clocks differ.
     """
+    number: tuple[str, int] | None = None
+    """The publisher's identity and sequence number, if the messages of this key are put in order."""
 
+    @property
+    def size(self) -> int:
+        """Bytes that it holds."""
+        return len(self.payload) + len(self.attachment)
 
-class Numbered(NamedTuple):
-    """A message with its publisher's identity and sequence number."""
-
-    source: str
-    number: int
-    arrival: Arrival | Stamped
+    @property
+    def service(self) -> str:
+        """Of HEALTH, the service that its key names."""
+        return self.name.rpartition("/")[2]
 
 
 def most_waiting(key: Key) -> int:
@@ -92,13 +82,13 @@ def most_waiting(key: Key) -> int:
     return WAITING_MESSAGES + key.delivery.kept
 
 
-def _size(message: Arrival | Stamped) -> int:
-    return len(message.payload) + len(message.attachment)
-
-
 def service_of(sample: zenoh.Sample) -> str:
     """Return the service that a key of HEALTH names."""
     return str(sample.key_expr).rpartition("/")[2]
+
+
+def _queue(put: Callable[[Any, int], None], arrival: Arrival) -> None:
+    put(arrival, arrival.size)
 
 
 class LivelinessChange(NamedTuple):
@@ -155,10 +145,10 @@ class Bus:
         self._inbox = Inbox() if inbox is None else inbox
         self._declaring = threading.Lock()
         self._publishers: dict[str, Any] = {}
+        # What makes each of what we hold on the session: once more, if another takes its place.
         self._declarations: dict[str, Callable[[zenoh.Session], Any]] = {}
-        """What makes each of what we hold on the session: once more, if another takes its place."""
         self._held: dict[str, Any] = {}
-        self._sequences: dict[str, Sequence[Arrival | Stamped]] = {}
+        self._sequences: dict[str, Sequence[Arrival]] = {}
         self._overflows: dict[str, Overflow] = {}
         self._names = ServiceNames()
         self._ready: deque[Any] = deque()
@@ -227,14 +217,13 @@ class Bus:
 
             # Callbacks only queue: a callback that blocks or computes delays the whole session, stop messages
             # included.
-            def queued(item: Arrival | Numbered, put: Callable[[Any, int], None] = put) -> None:
-                put(item, _size(item.arrival if isinstance(item, Numbered) else item))
-
-            self.on(key, queued)
+            self.on(key, partial(_queue, put))
 
     def _put_in_order(self, key: Key) -> None:
         if key.delivery.kept > 1 and key.name not in self._sequences:
-            self._sequences[key.name] = Sequence(most_waiting(key), WAITING_BYTES, _size)
+            self._sequences[key.name] = Sequence(
+                most_waiting(key), WAITING_BYTES, lambda arrival: arrival.size
+            )
             self._overflows[key.name] = Overflow(key.name)
 
     def on(self, key: Key, arrived: Callable[[Any], None], *, own: bool = True) -> None:
@@ -245,15 +234,9 @@ class Bus:
         heard: set[str] = set()
 
         def received(sample: zenoh.Sample) -> None:
-            name = service_of(sample) if key is HEALTH else ""
-            if name and not self._names.admits(name):
-                return
-            heard.add(name)
-            attachment = sample.attachment.to_bytes() if sample.attachment else b""
-            arrival = Arrival(key, sample.payload.to_bytes(), attachment, time.monotonic(), name)
-            if key.name in self._sequences and (info := sample.source_info) is not None:
-                arrived(Numbered(str(info.source_id), info.source_sn, arrival))
-            else:
+            if key is HEALTH:
+                heard.add(service_of(sample))
+            if arrival := self._arrival(key, sample):
                 arrived(arrival)
 
         self._declare(key, received, zenoh.Locality.ANY if own else zenoh.Locality.REMOTE)
@@ -261,6 +244,29 @@ class Bus:
             self._ask_for_kept_health(
                 lambda sample: received(sample) if service_of(sample) not in heard else None
             )
+
+    def _arrival(self, key: Key, sample: zenoh.Sample) -> Arrival | None:
+        """Return what has come; None for the health of a service that is not admitted."""
+        if key is HEALTH and not self._names.admits(service_of(sample)):
+            return None
+        stamp, info = sample.timestamp, sample.source_info if key.name in self._sequences else None
+        return Arrival(
+            key,
+            sample.payload.to_bytes(),
+            sample.attachment.to_bytes() if sample.attachment else b"",
+            time.monotonic(),
+            str(sample.key_expr),
+            stamp.get_time_as_ntp64().as_nanos() if stamp else time.time_ns(),
+            number=(str(info.source_id), info.source_sn) if info else None,
+        )
+
+    def _accept(self, item: Any) -> None:
+        """Make an item of the inbox ready, with those that waited for it."""
+        if isinstance(item, Arrival) and item.number:
+            sequence = self._sequences[item.key.name]
+            self._ready += sequence.arrived(*item.number, item, time.monotonic())
+        else:
+            self._ready.append(item)
 
     def _declare(self, key: Key, handler: Any, origin: zenoh.Locality = zenoh.Locality.ANY) -> None:
         self._look_for_rights(key, (*key.readers, *OF_ALL_VEHICLES), "receive")
@@ -336,11 +342,7 @@ class Bus:
                 if left_s <= SIGNAL_POLL_S:
                     return None
                 continue
-            if isinstance(item, Numbered):
-                sequence = self._sequences[item.arrival.key.name]
-                self._ready += sequence.arrived(item.source, item.number, item.arrival, time.monotonic())
-            else:
-                self._ready.append(item)
+            self._accept(item)
         item = self._ready.popleft()
         if isinstance(item, Arrival):
             self._given_at = item.at
@@ -370,19 +372,19 @@ class Bus:
             reason = f"{reason[:MOST_REASON]}…"
         (self.log.info if kind == REPEATED else self.log.warning)(f"refused {key.name}: {reason}")
 
-    def decode(self, arrival: Arrival | Stamped, kind: type[T]) -> T | None:
+    def decode(self, arrival: Arrival, kind: type[T]) -> T | None:
         """Decode JSON into a struct. A message that does not decode is refused, and None is returned."""
         try:
             said = msgspec.json.decode(arrival.payload, type=kind)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             self.refuse(arrival.key, str(error), "malformed")
             return None
-        if isinstance(said, Health) and (key := arrival.name.rpartition("/")[2]) != said.service:
-            self.refuse(arrival.key, f"{key!r} says that it is {said.service!r}", "malformed")
+        if isinstance(said, Health) and arrival.service != said.service:
+            self.refuse(arrival.key, f"{arrival.service!r} says that it is {said.service!r}", "malformed")
             return None
         return said
 
-    def take_stop(self, arrival: Arrival | Stamped) -> Stop | None:
+    def take_stop(self, arrival: Arrival) -> Stop | None:
         """Decode the stop, and say in log and health, at the first one, that the search has ceased."""
         stop = self.decode(arrival, Stop)
         if stop and not self.tally.ceased:
@@ -468,9 +470,7 @@ class Bus:
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:
-        """Return the bus itself; the with block closes it at its end."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave the bus."""
         self.close()

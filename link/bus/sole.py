@@ -10,15 +10,12 @@ import zenoh
 
 from link.bus.messages import Health
 
+# How long a new service waits for another's token to go. The token of a service that was killed, hangs or is
+# cut off goes within 2 s.
 WAIT_S = 5.0
-"""How long a new service waits for the token of another to go: that of one that was killed, hangs or is
-cut off goes within 2 s.
-"""
 LOOK_S = 0.02
+# An elder must be heard this long after its first message: that one may be a dead service's last.
 APART_S = 0.5
-"""Time after which an elder that was heard must still be there: a message on its way may be the last one
-of the dead.
-"""
 
 
 class Sole:
@@ -26,8 +23,7 @@ class Sole:
 
     def __init__(self, key: str, uptime_s: Callable[[], float]) -> None:
         """Take the key of its own health within the namespace, and its own uptime, s."""
-        self.has_elder = False
-        """True once another is known to be there. Of the two, the younger has to go."""
+        self.has_elder = False  # true once another is known to be there. Of the two, the younger has to go
         self._key = key
         self._uptime_s = uptime_s
         self._first_s: float | None = None

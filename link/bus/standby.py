@@ -1,6 +1,4 @@
-"""A session in place of one that its router keeps out. Whoever takes the id of a session that is away
-keeps it out for ever.
-"""
+"""Another session when the router keeps ours out, since a stranger took its id while it was away."""
 
 import contextlib
 import threading
@@ -9,24 +7,20 @@ from collections.abc import Callable
 
 import zenoh
 
+# How long a session is away before another is tried in its place, and the time between two trials. Zenoh
+# brings it back within 0.5 s of its router.
 AWAY_S = 5.0
-"""A session that has been away for so long is replaced on trial, as often. Zenoh brings it back within 0.5
-s of its router.
-"""
+# How long the other one waits for the first to come back: the router itself may have been away.
 LAST_CHANCE_S = 1.0
-"""How long the other one waits for the first to come back: the router itself may have been away."""
 TRY_S = 1.0
-LOOK_S = 0.2
-"""How often to look whether the first is admitted."""
+LOOK_S = 0.2  # how often to look whether the first is admitted
 
 
 class Standby:
     """Tries, in a thread of its own, whether a router that does not admit a session admits another one."""
 
     def __init__(self, admitted: Callable[[], bool], join: Callable[[float], zenoh.Session]) -> None:
-        """Take whether the session is admitted, and what opens another within so many seconds, or raises
-        zenoh.ZError.
-        """
+        """Take whether the session is admitted, and what opens another in time, s, or raises zenoh.ZError."""
         self._admitted = admitted
         self._join = join
         self._look_at, self._try_at = 0.0, time.monotonic() + AWAY_S

@@ -7,23 +7,19 @@ from dataclasses import dataclass, field
 
 RATE_OVER_S = 10.0
 LATELY_S = 60.0
+# Kind of messages that are refused only because they came before; this is normal in a healthy mission.
 REPEATED = "repeated"
-"""Kind of messages that are refused only because they came before; this is normal in a healthy mission."""
-OVERFLOW = "overflow"
-"""Kind of messages that are dropped because too many wait."""
-STRANGER = "stranger"
-"""Kind of messages from services whose names are not taken notice of."""
-FAULT = "fault"
-"""Kind of messages that could not be handled for a fault of ours."""
+OVERFLOW = "overflow"  # kind of messages that are dropped because too many wait
+STRANGER = "stranger"  # kind of messages from services whose names are not admitted
+FAULT = "fault"  # kind of messages that could not be handled for a fault of ours
+# Recent merges events closer than this share of its window. It thus stores about a thousand at most.
 GRAIN = 0.001
-"""Recent merges events closer than this share of its window. It thus stores about a thousand at most."""
 
 
 class Recent:
     """Counts events in a sliding time window."""
 
     def __init__(self, within_s: float) -> None:
-        """Take the length of the window, s."""
         self._within_s = within_s
         self._events: deque[tuple[float, int]] = deque()
         self._total = 0
@@ -51,21 +47,17 @@ class Tally:
 
     now_s: Callable[[], float] = time.monotonic
     state: str = "ready"
-    about: str = ""
-    """Its configuration, in a few words."""
+    about: str = ""  # its configuration, in a few words
     step: int = -1
     compute_s: float = 0.0
     latency_s: float = 0.0
     warnings: tuple[str, ...] = ()
     last_error: str = ""
-    ceased: bool = False
-    """True once it knows of the stop."""
-    system: int = 0
-    """A vehicle's MAVLink system id."""
+    ceased: bool = False  # true once it knows of the stop
+    system: int = 0  # a vehicle's MAVLink system id
     refused: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
-        """Start the clock and the sliding windows."""
         self._began_s = self.now_s()
         self._done = Recent(RATE_OVER_S)
         self._refused = Recent(LATELY_S)

@@ -11,8 +11,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 
 from link.files import claim
 
-UNLIMITED = 1 << 62
-"""Chunk size that is never reached: only a flush closes a chunk."""
+UNLIMITED = 1 << 62  # chunk size that is never reached: only a flush closes a chunk
 
 
 def _as_it_is(path: str, flags: int) -> int:
@@ -72,48 +71,38 @@ class _Pieces:
         self.file.append(piece)
 
 
-class McapFile:
+class McapFile(Writer):
     """An MCAP file with zstd chunks, indexes and summary. Methods that write raise OSError if the system
     does.
     """
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
         self._pieces = _Pieces(path)
         stream: Any = self._pieces
-        self._writer = Writer(stream, chunk_size=UNLIMITED)
-        self._writer.start()
-        self.waiting = 0
-        """Bytes of messages that wait for the next flush."""
+        super().__init__(stream, chunk_size=UNLIMITED)
+        self.waiting = 0  # bytes of messages that wait for the next flush
+        self.start()
 
     def add_metadata(self, name: str, data: dict[str, str]) -> None:
         """Write a metadata record at once."""
-        self._writer.add_metadata(name, data)
+        super().add_metadata(name, data)
         self._pieces.flush()
 
-    def add_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Add a schema; returns its id."""
-        schema: int = self._writer.register_schema(name, encoding, data)
-        return schema
-
-    def add_channel(self, topic: str, encoding: str, schema: int) -> int:
-        """Add a channel; returns its id."""
-        channel: int = self._writer.register_channel(topic, encoding, schema)
-        return channel
-
-    def add_message(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> None:
+    def add_message(
+        self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0
+    ) -> None:
         """Add a message to the chunk."""
-        self._writer.add_message(channel, log_time, data, publish_time, sequence)
+        super().add_message(channel_id, log_time, data, publish_time, sequence)
         self.waiting += len(data)
 
     def flush(self) -> None:
         """Close the chunk and write it."""
         self.waiting = 0
-        self._writer.flush()  # type: ignore[no-untyped-call]
+        super().flush()  # type: ignore[no-untyped-call]
 
     def finish(self) -> None:
         """Write the waiting messages and the summary, then close the file."""
-        self._writer.finish()  # type: ignore[no-untyped-call]
+        super().finish()  # type: ignore[no-untyped-call]
         self._pieces.flush()
         self._pieces.file.close()
 

@@ -21,12 +21,10 @@ SENDER = {
     "system": {"type": "integer", "description": "MAVLink system id of the sender"},
     "component": {"type": "integer", "description": "MAVLink component id of the sender"},
 }
+# JSON types of MAVLink types; all others are integers.
 PLAIN = {"char": "string", "float": "number", "double": "number"}
-"""JSON types of MAVLink types; all others are integers."""
-TYPES = {message.msgname: message for message in DIALECT.values()}
-"""The message types by name."""
-UNKNOWN = "UNKNOWN"
-"""Type of messages that are not in the dialect."""
+TYPES = {message.msgname: message for message in DIALECT.values()}  # the message types by name
+UNKNOWN = "UNKNOWN"  # type of messages that are not in the dialect
 
 
 class FlatReading(msgspec.Struct, frozen=True):
@@ -58,8 +56,7 @@ class Decoded(NamedTuple):
     """One MAVLink message of a payload."""
 
     kind: str
-    fields: bytes
-    """A JSON object: the message's fields, and its sender's system and component."""
+    fields: bytes  # a JSON object: the message's fields, and its sender's system and component
 
 
 def decode(payload: bytes) -> list[Decoded]:
@@ -78,7 +75,7 @@ def decode(payload: bytes) -> list[Decoded]:
 
 
 def decode_reading(payload: bytes) -> FlatReading:
-    """Decode a reading; raises BadFrame with the same reason as the estimator."""
+    """Return a reading as viewers show it; raises BadFrame with the same reason as the estimator."""
     reading = unpack_reading(payload)
     return FlatReading(
         reading.time_boot_ms, *reading.position, reading.altitude_m, *reading.wind, reading.gas

@@ -12,8 +12,7 @@ from link.bus.frames import Frame
 from link.bus.keys import HEALTH, MAVLINK_OUT
 from link.bus.mavlink import ONBOARD_COMPUTER, BadFrame, split
 
-OWN_HEALTH = HEALTH.name.replace("<service>", "uav")
-"""With --secure only the vehicle may publish it."""
+OWN_HEALTH = HEALTH.name.replace("<service>", "uav")  # with --secure only the vehicle may publish it
 
 
 class _Told(msgspec.Struct):
@@ -26,9 +25,7 @@ class OwnSystem:
     """
 
     def __init__(self) -> None:
-        """Know of none."""
-        self.system = 0
-        """0: not known yet."""
+        self.system = 0  # 0: not known yet
 
     def learn(self, key: str, payload: bytes) -> bool:
         """Take a message. Returns whether another system was taken for the vehicle until now."""

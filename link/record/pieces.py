@@ -2,6 +2,7 @@
 looked for behind it.
 """
 
+import re
 import struct
 from collections.abc import Iterator
 from io import BytesIO
@@ -13,19 +14,16 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.writer import MCAP0_MAGIC
 
+# Most bytes of a chunk, packed or not. Ours hold 4 MB and one message. A chunk that claims more is damaged,
+# or made to exhaust memory: small messages take ten times their bytes there.
 LARGEST_PIECE = 256 << 20
-"""Most bytes of a chunk, packed or not. Ours hold 4 MB and one message. A chunk that claims more is
-damaged, or made to exhaust memory: small messages take ten times their bytes there."""
+# What reading damaged bytes can raise.
 DAMAGE = (McapError, struct.error, ValueError, LookupError, RuntimeError, EOFError, ArithmeticError)
-"""What reading damaged bytes can raise."""
-HEAD = struct.Struct("<BQ")
-"""The beginning of each record: its kind, and the length of what follows."""
-NAMES = (b"zstd", b"lz4")
-"""How a chunk may be packed. By such a name a chunk is found again; a plain one is not."""
-NAME_AT = HEAD.size + 28
-"""Where a chunk says how it is packed."""
-WINDOW = 1 << 20
-"""Bytes that are searched at once."""
+HEAD = struct.Struct("<BQ")  # the beginning of each record: its kind, and the length of what follows
+# How a chunk may be packed, after the length of that name. By it a chunk is found again; a plain one is not.
+NAMES = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
+NAME_AT = HEAD.size + 28  # where a chunk says how it is packed
+WINDOW = 1 << 20  # bytes that are searched at once
 
 
 class Hole(NamedTuple):
@@ -39,7 +37,6 @@ class Pieces:
     """The records of a file with their places. `whole` is then true if the file ends as it should."""
 
     def __init__(self, file: IO[bytes], size: int) -> None:
-        """Take an open MCAP file and its size in bytes."""
         self._file = file
         self._size = size
         self.whole = False
@@ -113,22 +110,13 @@ class Pieces:
 
     def _next_chunk(self, start: int) -> int | None:
         """Return where the first chunk at or behind a place begins."""
-        overlap = NAME_AT + 8
         for window_at in range(start, self._size, WINDOW):
-            window = self._bytes(window_at, WINDOW + overlap)
-            names = (struct.pack("<I", len(name)) + name for name in NAMES)
-            found = sorted(window_at + at - NAME_AT for name in names for at in _places(window, name))
-            for at in found:
+            window = self._bytes(window_at, WINDOW + NAME_AT + 8)
+            for found in NAMES.finditer(window):
+                at = window_at + found.start() - NAME_AT
                 if at >= start and self._head(at)[0] == Opcode.CHUNK:
                     return at
         return None
-
-
-def _places(text: bytes, name: bytes) -> Iterator[int]:
-    at = text.find(name)
-    while at >= 0:
-        yield at
-        at = text.find(name, at + 1)
 
 
 def _parsed(kind: int, data: bytes) -> McapRecord | None:
@@ -136,15 +124,14 @@ def _parsed(kind: int, data: bytes) -> McapRecord | None:
     stream = ReadDataStream(BytesIO(data))
     record: McapRecord
     try:
-        match kind:
-            case Opcode.CHUNK:
-                record = Chunk.read(stream)
-            case Opcode.CHANNEL:
-                record = Channel.read(stream)
-            case Opcode.METADATA:
-                record = Metadata.read(stream)
-            case _:
-                record = Message.read(stream, len(data))
+        record = READ[kind].read(stream) if kind in READ else Message.read(stream, len(data))
     except DAMAGE:
         return None
     return record
+
+
+READ: dict[int, type[Chunk] | type[Channel] | type[Metadata]] = {
+    Opcode.CHUNK: Chunk,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+}

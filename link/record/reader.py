@@ -1,4 +1,4 @@
-"""Reads the record of a run, as far as it can be read: what is damaged or cut off is left out, and told."""
+"""Reads the record of a run as far as possible: damaged parts are left out and reported."""
 
 import stat
 from collections.abc import Callable, Iterator
@@ -35,14 +35,14 @@ from link.terminal import printable
 LARGEST_RECORD = 4 << 30
 """Most bytes of memory for all messages, where they are read at once."""
 MOST_RATIO, SMALL = 100, 1 << 20
-"""Chunks may unpack to so many times the size of the file, or to SMALL bytes. Real missions pack to a
+"""Chunks may unpack to this many times the size of the file, or to SMALL bytes. Real missions pack to a
 third; a file that unpacks to a thousand times its size was made to exhaust memory."""
 MESSAGE_BYTES = 400
 """Memory overhead of a message, bytes."""
 NOT_READ = {b"\xa3\x95": "an ArduPilot dataflash log", b"ULog\x01\x12\x35": "a PX4 ULog"}
 """The first bytes of logs that autopilots write on board, and what they are."""
 MOST_PLACES, LISTED = 1000, 3
-"""So many damaged places are told apart, and so many are named."""
+"""Most damaged places that are kept apart, and most that are named."""
 
 
 class RecordError(Exception):
@@ -64,7 +64,6 @@ class Damage(NamedTuple):
     """How many messages come before it."""
 
     def __str__(self) -> str:
-        """Return it in words."""
         return f"{self.size:,} bytes at byte {self.at:,}, after {self.after_s:.2f} s of simulation"
 
 
@@ -164,7 +163,6 @@ class LogFile:
         self._unpacked = self._may_unpack = 0
 
     def __iter__(self) -> Iterator[Entry]:
-        """Yield all messages, in the order of recording."""
         try:
             with self._path.open("rb") as file:
                 yield from self._read(file, self._path.stat().st_size)

@@ -110,7 +110,7 @@ def _time_boot_ms(
 
 
 MOST_READINGS = 4096
-"""So many readings are remembered: what is repeated or answered is one of the last few."""
+"""Most readings remembered: repeated and answered ones are among the last few."""
 
 
 class SimulationClock:
@@ -119,7 +119,6 @@ class SimulationClock:
     """
 
     def __init__(self) -> None:
-        """Start at zero."""
         self._own = OwnSystem()
         self._newest_ms = 0
         self._newest_published_ns = 0
@@ -177,7 +176,7 @@ class SimulationClock:
 
 
 EARLY_S = 60.0
-"""A run whose first word has no later time begins at 0: so little before it is no trouble."""
+"""A run whose first time is at most this begins at 0."""
 
 
 def began_s(times_s: Iterable[float]) -> float:

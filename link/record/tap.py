@@ -12,18 +12,17 @@ import zenoh
 from link.bus.inbox import Overflow
 from link.bus.keys import HEALTH, Key
 from link.bus.opening import DEFAULT_ROUTER
-from link.bus.session import Bus, Numbered, Stamped, most_waiting, service_of
+from link.bus.session import Arrival, Bus, most_waiting
 
+# How often Zenoh's rings are emptied: they are bounded by messages alone, of any size, and drop without a
+# word.
 DRAIN_EVERY_S = 0.05
-"""How often Zenoh's rings are emptied: they are bounded by messages alone, of any size, and drop without a
-word.
-"""
+# A key whose messages come into a ring of Zenoh's, and what puts them into the inbox.
 Ring = tuple[Key, Callable[[Any, int], None]]
-"""A key whose messages come into a ring of Zenoh's, and what puts them into the inbox."""
 
 
 class Tap(Bus):
-    """A bus connection for recorders: messages are taken in batches, as `Stamped`.
+    """A bus connection for recorders: messages are taken in batches, with the times that a record stores.
 
     A Python callback for each message would cost too much. Therefore messages come into rings of Zenoh's,
     and a thread moves them from there to the inbox, which is bounded by bytes, too, and counts what it
@@ -39,7 +38,6 @@ class Tap(Bus):
         announced: bool = True,
         **settings: Any,
     ) -> None:
-        """Join a router as a client; takes and raises what `Bus` does."""
         self._taken_ns = 0
         self._rings: dict[str, Ring] = {}
         self._draining = threading.Lock()
@@ -64,7 +62,7 @@ class Tap(Bus):
             if key is HEALTH:
                 self._ask_for_kept_health(partial(self._move, key, put))
 
-    def take(self) -> list[Stamped]:
+    def take(self) -> list[Arrival]:
         """Return the messages that arrived since the last call, in order of publishing."""
         now_ns = time.time_ns()
         self._drain()
@@ -73,12 +71,7 @@ class Tap(Bus):
                 item = self._inbox.get(timeout=0)
             except queue.Empty:  # dropped meanwhile
                 break
-            if isinstance(item, Numbered):
-                self._ready += self._sequences[item.arrival.key.name].arrived(
-                    item.source, item.number, item.arrival, time.monotonic()
-                )
-            else:
-                self._ready.append(item)
+            self._accept(item)
         self._look_after_sequences()
         self._inbox.tell_dropped(self.log)
         self._fullness.tell(self._full, self.log)
@@ -127,15 +120,5 @@ class Tap(Bus):
 
     def _move(self, key: Key, put: Callable[[Any, int], None], sample: zenoh.Sample) -> None:
         """Put a message into the inbox."""
-        if key is HEALTH and not self._names.admits(service_of(sample)):
-            return
-        published_ns = sample.timestamp.get_time_as_ntp64().as_nanos() if sample.timestamp else time.time_ns()
-        attachment = sample.attachment.to_bytes() if sample.attachment else b""
-        message = Stamped(
-            key, sample.payload.to_bytes(), attachment, str(sample.key_expr), published_ns, published_ns
-        )
-        info = sample.source_info if key.name in self._sequences else None
-        put(
-            message if info is None else Numbered(str(info.source_id), info.source_sn, message),
-            len(message.payload) + len(attachment),
-        )
+        if message := self._arrival(key, sample):
+            put(message, message.size)

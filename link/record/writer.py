@@ -90,11 +90,11 @@ class Writer:
         channel = self._channels.get((topic, ""))
         if channel is None:
             name, described = schema()
-            channel = self._mcap.add_channel(
-                topic, "protobuf", self._mcap.add_schema(name, "protobuf", described)
+            channel = self._mcap.register_channel(
+                topic, "protobuf", self._mcap.register_schema(name, "protobuf", described)
             )
             self._channels[topic, ""] = channel
-        self._mcap.add_message(channel, self._count, received_ns, received_ns, data)
+        self._mcap.add_message(channel, received_ns, data, received_ns, self._count)
 
     def _write_json(self, entry: Entry, received_ns: int) -> None:
         try:
@@ -133,7 +133,7 @@ class Writer:
 
     def _add(self, entry: Entry, ending: str, received_ns: int, data: bytes) -> None:
         channel = self._channels.get((entry.key, ending)) or self._open_channel(entry.key, ending)
-        self._mcap.add_message(channel, self._count, received_ns, entry.published_ns, data)
+        self._mcap.add_message(channel, received_ns, data, entry.published_ns, self._count)
 
     def _open_channel(self, key: str, ending: str) -> int:
         encoding, schema_id = "json", 0
@@ -145,10 +145,10 @@ class Writer:
             kinds: dict[str, type[msgspec.Struct]] = {MALFORMED: Malformed, DECODED: FlatReading}
             kind = kinds.get(ending) or STRUCTS.get(row(key))
             schema = struct_schema(kind) if kind else message_schema(ending)
-            schema_id = self._mcap.add_schema(
+            schema_id = self._mcap.register_schema(
                 schema["title"], "jsonschema", json.dumps(schema, ensure_ascii=False).encode()
             )
-        channel = self._mcap.add_channel(f"{key}/{ending}" if ending else key, encoding, schema_id)
+        channel = self._mcap.register_channel(f"{key}/{ending}" if ending else key, encoding, schema_id)
         self._channels[key, ending] = channel
         return channel
 

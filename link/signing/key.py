@@ -15,12 +15,9 @@ WANTED = "a file with 64 hexadecimal digits, or with a passphrase in one line"
 class SecretKey(NamedTuple):
     """A key, and what a user should know of its file."""
 
-    secret: bytes
-    """32 bytes."""
-    made_from: str
-    """What the file holds, in words."""
-    open_to_all: bool
-    """Whether every user of the machine may read or change the file."""
+    secret: bytes  # 32 bytes
+    made_from: str  # what the file holds, in words
+    open_to_all: bool  # whether every user of the machine may read or change the file
 
 
 def read_key(path: str | Path) -> SecretKey:

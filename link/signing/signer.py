@@ -14,18 +14,15 @@ from link.signing.signature import is_genuine, is_signed, link_and_timestamp, si
 from link.signing.timestamps import AHEAD, MINUTE, UNITS_A_S, Timestamps
 
 UNSIGNED, WRONG, OLD = "without a signature", "with a wrong signature", "with an old timestamp"
+# Why a frame is refused.
 FAR_AHEAD = f"with a timestamp more than {AHEAD // MINUTE} minutes ahead of this machine's clock"
-"""Why a frame is refused."""
+# Types that need no signature: radios add them to the link, and have no key. The standard lets them
+# through.
 FREE = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
-"""Types that need no signature: radios add them to the link, and have no key. The standard lets them
-through.
-"""
-SYSTEM_AT = 5
-"""Offset of the system id in a frame of MAVLink 2; the component id follows."""
+SYSTEM_AT = 5  # offset of the system id in a frame of MAVLink 2; the component id follows
+# Senders of a link that are logged, each once for each reason. It is bounded because source addresses are
+# easily forged.
 MOST_TOLD = 16
-"""Senders of a link that are told of, each once for each reason. It is bounded because source addresses
-are easily forged.
-"""
 
 
 class Signing:
@@ -48,8 +45,8 @@ class Signing:
             log.warning(f"{path!r} is open to every user of this machine: chmod 600 {path}")
         if (ahead_s := self.timestamps.ahead_s) > MINUTE / UNITS_A_S:
             log.warning(
-                f"the last timestamp is {ahead_s:.0f} s later than the clock: who signs by the right time is "
-                "refused "
+                f"the last timestamp is {ahead_s:.0f} s ahead of the clock: senders with a correct clock "
+                "will be refused "
                 f"(if the clock is right, remove {str(kept)!r}, at the earliest a minute after its last use)"
             )
 
@@ -72,7 +69,6 @@ class Signer:
     """Signs and verifies the frames of one link. Safe in several threads."""
 
     def __init__(self, secret: bytes, timestamps: Timestamps, number: int, url: str) -> None:
-        """Take what is shared, and the link's id and URL."""
         self._secret = secret
         self._timestamps = timestamps
         self._number = number

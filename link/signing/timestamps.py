@@ -1,6 +1,4 @@
-"""Timestamps that only go forward: a process's own, and those of each stream that it has accepted. A file
-keeps them across restarts.
-"""
+"""Timestamps that only go forward: our own and those of accepted streams. A file keeps them over restarts."""
 
 import fcntl
 import os
@@ -11,26 +9,18 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-UNITS_A_S = 100_000
-"""A timestamp counts units of 10 µs since 2015-01-01, UTC."""
-BEGIN_S = 1_420_070_400
-"""That day, in seconds since 1970."""
-LAST = 2**48 - 1
-"""The last timestamp there is; in the year 2104."""
-MINUTE = 60 * UNITS_A_S
-"""A stream that is new may be so far behind."""
+UNITS_A_S = 100_000  # a timestamp counts units of 10 µs since 2015-01-01, UTC
+BEGIN_S = 1_420_070_400  # 2015-01-01 in seconds since 1970
+LAST = 2**48 - 1  # the last timestamp there is; in the year 2104
+MINUTE = 60 * UNITS_A_S  # a new stream may begin this far behind the clock
+# No frame may be further ahead of our clock: it would take our own timestamps along, and those of all who
+# hear us. An autopilot that keeps its timestamp across reboots may be some minutes ahead.
 AHEAD = 10 * MINUTE
-"""No frame may be further ahead of our clock: it would take our own timestamps along, and those of all who
-hear us. An autopilot that keeps its timestamp across reboots may be some minutes ahead."""
 MOST_STREAMS = 512
-KEPT_EVERY_S = 1.0
-"""So often what has been written is brought to the disk, where it outlasts a power cut."""
-Stream = tuple[int, int, int]
-"""System id, component id, link id."""
+KEPT_EVERY_S = 1.0  # interval of fdatasync: what is synced outlasts a power cut
+Stream = tuple[int, int, int]  # system id, component id, link id
+# The entry of all forgotten streams: it has the latest of their timestamps. An unknown stream must be later.
 FORGOTTEN: Stream = (256, 0, 0)
-"""Stands for the streams that had to be forgotten; its timestamp is the last of theirs. A stream that is
-not known must be later.
-"""
 LINE = re.compile(rb"( *\d+) +(\d+) +(\d+) +(\d+)\n")
 EMPTY = b" " * 27 + b"\n"
 
@@ -57,16 +47,12 @@ class Timestamps:
         self._path = path
         self._now = now
         self._lock = threading.Lock()
-        self._lines: dict[Stream, int] = {}
-        """The line of each stream in the file."""
+        self._lines: dict[Stream, int] = {}  # the line of each stream in the file
         self._latest: dict[Stream, int] = {}
+        # A warning that waits to be logged: the file cannot be written, or a sender is far ahead.
         self.notice = ""
-        """What people should know, until somebody has told them: that the file cannot be written, or that
-        a sender is far ahead.
-        """
         self._failed = self._ahead = False
-        self._written = 0
-        """How many lines have been written."""
+        self._written = 0  # how many lines have been written
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         except OSError as error:
@@ -79,10 +65,9 @@ class Timestamps:
             os.close(self._file)
             raise
         self._last = max(self._latest.values(), default=0)
+        # By how much the last timestamp was later than the clock at the start; negative if it was
+        # earlier.
         self.ahead_s = (self._last - now()) / UNITS_A_S
-        """By how much the last timestamp was later than the clock at the start; negative if it was
-        earlier.
-        """
         self._closed = threading.Event()
         self._keeper = threading.Thread(target=self._keep, name="timestamps", daemon=True)
         self._keeper.start()
@@ -160,7 +145,7 @@ class Timestamps:
             self.notice = (
                 f"system {stream[0]}, component {stream[1]} signs {ahead / UNITS_A_S:.0f} s later than the "
                 "clock, "
-                "and so all do who hear it: who then begins with the right time is refused"
+                "and all that hear it follow: senders with a correct clock will be refused"
             )
 
     def _remember(self, stream: Stream, timestamp: int) -> None:

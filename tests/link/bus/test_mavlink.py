@@ -13,7 +13,6 @@ from link.bus.mavlink import (
     Reading,
     continued,
     elapsed_ms,
-    flat_reading,
     nearest,
     pack_reading,
     unpack,
@@ -147,22 +146,6 @@ def test_frames_of_mavlink_1_and_signed_ones_tell_a_reading_too() -> None:
         b"".join(m.pack(signing) for m in messages),
     ):
         assert unpack_reading(bytes(payload), 1) == Reading(1234, (2.0, 1.0), 5.0, (0.0, -1.0), 2.5)
-
-
-def test_a_flat_reading_leaves_open_what_is_not_said() -> None:
-    said = {
-        "LOCAL_POSITION_NED": {"time_boot_ms": 5, "x": 1.0, "y": 2.0, "z": -3.0},
-        "WIND_COV": {"wind_x": 4.0},
-    }
-    assert flat_reading(said) == {
-        "time_boot_ms": 5,
-        "x": 2.0,
-        "y": 1.0,
-        "altitude_m": 3.0,
-        "wind_x": None,
-        "wind_y": -4.0,
-        "gas": None,
-    }
 
 
 # ---- time_boot_ms, which wraps after 49.7 days ----

@@ -15,7 +15,7 @@ from link.bus.inbox import WAITING_MESSAGES, Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING, STOP
 from link.bus.messages import Health, Stop
 from link.bus.opening import BusError, NoRouter, open_client, open_router, zenoh_config
-from link.bus.session import Arrival, Bus, LivelinessChange, Numbered
+from link.bus.session import Arrival, Bus, LivelinessChange
 from sitl.launch.relay import Relay
 
 pytestmark = pytest.mark.slow
@@ -205,7 +205,7 @@ def test_who_needs_only_the_newest_is_given_it_at_once(router: str, wait_until: 
 
 
 def test_a_wait_ends_in_time_however_many_messages_come_again(router: str) -> None:
-    again = Numbered("uav", 0, Arrival(READING, b"frames", b""))
+    again = Arrival(READING, b"frames", b"", number=("uav", 0))
 
     class Endless(Inbox):
         def get(self, timeout: float | None = None) -> Any:
@@ -213,7 +213,7 @@ def test_a_wait_ends_in_time_however_many_messages_come_again(router: str) -> No
 
     with Bus("estimator", router, inbox=Endless()) as estimator:
         estimator.subscribe(READING)
-        assert estimator.receive(timeout_s=60.0) == again.arrival
+        assert estimator.receive(timeout_s=60.0) == again
         assert estimator.receive(timeout_s=0.1) is None
 
 
@@ -300,7 +300,7 @@ def test_who_speaks_with_the_source_id_of_another_hides_no_health_of_that(
             settle(stranger)
             agent.publish_health()
             wait_until(lambda: len(overheard) == 2)
-            heard = [viewer.receive(timeout_s=60.0).name for _ in range(101)]
+            heard = [viewer.receive(timeout_s=60.0).service for _ in range(101)]
             assert heard == ["agent", *["observer"] * 99, "agent"]
 
 

@@ -15,7 +15,7 @@ import zenoh
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING, WAYPOINT
-from link.bus.session import Bus, Stamped
+from link.bus.session import Arrival, Bus
 from link.record.record import SimulationClock
 from link.record.tap import Tap
 from tests.link.record.test_record import ATTITUDE, ENTRIES, UAV
@@ -25,9 +25,9 @@ pytestmark = pytest.mark.slow
 MS = 1_000_000
 
 
-def taken(tap: Tap, wait_until: Callable[..., None], count: int) -> list[Stamped]:
+def taken(tap: Tap, wait_until: Callable[..., None], count: int) -> list[Arrival]:
     """Take until this many messages have arrived, then once more, to notice duplicates."""
-    messages: list[Stamped] = []
+    messages: list[Arrival] = []
     wait_until(lambda: messages.extend(tap.take()) or len(messages) >= count)
     tap.settle(60.0)
     return messages + tap.take()
@@ -90,7 +90,7 @@ def test_messages_of_many_are_taken_in_the_order_in_which_they_were_published(
     router: str, wait_until: Callable[..., None]
 ) -> None:
     expected = [(name, b"%d" % number) for number in range(50) for name in ("reading", "waypoint")]
-    batches: list[list[Stamped]] = []
+    batches: list[list[Arrival]] = []
     with Bus("uav", router) as uav, Bus("agent", router) as agent, Tap("recorder", router) as tap:
 
         def all_there() -> bool:
@@ -135,7 +135,7 @@ def test_an_overtaken_message_is_put_where_it_was_published_but_was_not_received
         tap.subscribe(MAVLINK_IN)
         publisher = heard_on(stranger, "uav/1/mavlink/in", wait_until)
 
-        def said(*messages: tuple[bytes, zenoh.Timestamp]) -> list[Stamped]:
+        def said(*messages: tuple[bytes, zenoh.Timestamp]) -> list[Arrival]:
             for payload, at in messages:
                 publisher.put(payload, timestamp=at)
             settle(stranger)

@@ -171,4 +171,4 @@ def test_a_key_that_all_may_read_and_a_clock_that_was_set_back_are_warned_of_in_
     first.link(URL).admits(signed(plain(), KEY, 0, clock() + 9 * 60 * 100_000), ME)
     first.close()
     Signing(str(path), "uav-1", log).close()
-    assert "s later than the clock" in told(capsys)[-1]
+    assert "s ahead of the clock" in told(capsys)[-1]
