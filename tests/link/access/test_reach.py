@@ -6,7 +6,7 @@ import pytest
 
 from aircraft.bridge.address import parse_address
 from aircraft.search.udp import parse_url
-from ground.view.guard import AccessRules
+from ground.view.access import AccessRules
 from link.access.reach import endpoint_is_open, is_open
 
 OPEN = {
