@@ -5,7 +5,6 @@ client is gone.
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable, Coroutine, MutableMapping
-from functools import partial
 from typing import Any
 
 import uvicorn
@@ -106,67 +105,40 @@ async def converse(
 # ---- connections ----
 
 
-class Lobby:
-    """The connections that have asked for nothing yet, or that only get files or a refusal. It never fills:
-    a new one drives out the oldest.
+def _make_room(connections: set[Any]) -> None:
+    """Cut the oldest connection that is no page, if there are too many: those that have asked for nothing
+    yet, or that only get files or a refusal.
     """
-
-    def __init__(self) -> None:
-        """Begin empty."""
-        self._waiting: dict[asyncio.Transport, None] = {}
-
-    def enter(self, transport: asyncio.Transport) -> None:
-        """Take a connection, and cut the oldest one if there are too many."""
-        self._waiting[transport] = None
-        if len(self._waiting) > MOST_WAITING:
-            oldest = next(iter(self._waiting))
-            self.leave(oldest)
-            oldest.abort()
-
-    def leave(self, transport: asyncio.Transport) -> None:
-        """A connection has gone, or is a page now."""
-        self._waiting.pop(transport, None)
+    waiting = [each for each in connections if each.waiting_since]
+    if len(waiting) > MOST_WAITING:
+        oldest = min(waiting, key=lambda each: each.waiting_since)
+        oldest.waiting_since = 0.0
+        oldest.transport.abort()
 
 
 class Guest(H11Protocol):
     """A connection that is no page yet."""
 
-    def __init__(self, lobby: Lobby, *args: Any, **settings: Any) -> None:
-        """Make a connection that waits in a lobby."""
-        super().__init__(*args, **settings)
-        self._lobby = lobby
+    waiting_since = 0.0  # by the loop's clock; 0: it does not wait
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Enter."""
+        """Begin to wait."""
         super().connection_made(transport)
-        self._lobby.enter(transport)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Leave."""
-        self._lobby.leave(self.transport)
-        super().connection_lost(exc)
+        self.waiting_since = self.loop.time()
+        _make_room(self.connections)
 
 
 class PageSocket(WebSocketsSansIOProtocol):
-    """A connection that has become a page, and waits in the lobby again once that is closed."""
+    """A connection that has become a page, and waits again once that is closed."""
 
-    def __init__(self, lobby: Lobby, *args: Any, **settings: Any) -> None:
-        """Make a page of a connection."""
-        super().__init__(*args, **settings)
-        self._lobby = lobby
+    waiting_since = 0.0
 
     async def run_asgi(self) -> None:
         """Serve it. What it has not read soon after it was closed, it will not read."""
-        self._lobby.leave(self.transport)
         await super().run_asgi()
-        if not self.disconnected:
-            self._lobby.enter(self.transport)
-            self.loop.call_later(SEND_S, self.transport.abort)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Leave."""
-        self._lobby.leave(self.transport)
-        super().connection_lost(exc)
+        self.waiting_since = self.loop.time()
+        _make_room(self.connections)
+        self.loop.call_later(SEND_S, self.transport.abort)
 
 
 def server_of(app: Asgi, longest_message: int, *, proxied: bool) -> uvicorn.Server:
@@ -175,11 +147,10 @@ def server_of(app: Asgi, longest_message: int, *, proxied: bool) -> uvicorn.Serv
 
     proxied: whether a proxy of this machine may say, by X-Forwarded-For, from where a client comes.
     """
-    lobby: Any = Lobby()
     config = uvicorn.Config(
         app,
-        http=partial(Guest, lobby),  # type: ignore[arg-type]
-        ws=partial(PageSocket, lobby),  # type: ignore[arg-type]
+        http=Guest,
+        ws=PageSocket,
         lifespan="off",
         log_config=None,
         log_level="critical",
