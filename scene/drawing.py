@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from scene.scene import Release, Scene, ellipse
 
+# Settings of matplotlib while a picture is made and saved.
 STYLE: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same letters everywhere
     "font.size": 10.0,
@@ -43,28 +44,20 @@ STYLE: Any = {
     "savefig.dpi": 150,
     "svg.hashsalt": "plumeward",  # the same picture gives the same file
 }
-"""Settings of matplotlib while a picture is made and saved."""
-UNDATED = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-"""SVG metadata left out, so that the same picture gives the same file."""
+UNDATED = dict.fromkeys(("Creator", "Date", "Format", "Type"))  # SVG metadata that would differ each time
 SIZE_IN = 9.6, 5.4
-FRAME_DPI = 100
-"""Dots per inch of an animation: 960 × 540 pixels."""
-MAP = 0.065, 0.2, 0.39, 0.39 * SIZE_IN[0] / SIZE_IN[1]
-"""Left, bottom, width and height of the map, as shares of the figure."""
-DOT = 5.0
-"""Area of a particle of mean weight, square points."""
-MANY = 1000
-"""With more particles dots are smaller; with more than a tenth as many readings, curves have no dots."""
-CELLS = 120
-"""Cells along a side of the area, for the plume."""
-GAS = (0.1, 100.0)
-"""Range of concentrations shown, g/m³; it begins at half the noise in clean air."""
+FRAME_DPI = 100  # dots per inch of an animation: 960 × 540 pixels
+MAP = 0.065, 0.2, 0.39, 0.39 * SIZE_IN[0] / SIZE_IN[1]  # left, bottom, width, height; shares of the figure
+DOT = 5.0  # area of a particle of mean weight, square points
+MANY = 1000  # with more particles dots are smaller; with more than a tenth as many readings, no dots
+CELLS = 120  # along a side of the area, for the plume
+GAS = (0.1, 100.0)  # range of concentrations shown, g/m³; it begins at half the noise in clean air
 PLUME = LinearSegmentedColormap.from_list(
     "plume", ["#ffffff", "#fde3b8", "#fac06c", "#ee8f33", "#b9500f"]
 ).with_extremes(bad="#ffffff")
 INK = "#222222"
+# Colours of the beliefs shown, of Okabe and Ito's palette but for the last.
 BELIEFS = ("#56b4e9", "#009e73", "#0072b2", "#cc79a7", "#882255")
-"""Colours of the beliefs shown, of Okabe and Ito's palette but for the last."""
 START: dict[str, Any] = {
     "marker": "o",
     "markersize": 7,
@@ -126,11 +119,6 @@ def plume(ax: Axes, release: Release, area_m: float) -> AxesImage:
     )
 
 
-def where(scene: Scene) -> NDArray[np.float64]:
-    """Return where the readings were taken: (steps, 2) m."""
-    return np.array([it.position for it in scene.measurements], np.float64).reshape(-1, 2)
-
-
 class _Cloud:
     """One belief in its colour: particles and ellipse on the map, and its marks on the curves."""
 
@@ -161,12 +149,6 @@ class _Cloud:
             "animated": True,
         }
         (self.spread,), (self.gas,) = (chart.plot([], [], **style) for chart in (drawing.spread, drawing.gas))
-        self.parts = [
-            (drawing.map, self.dots),
-            (drawing.map, self.ring),
-            (drawing.spread, self.spread),
-            (drawing.gas, self.gas),
-        ]
 
     def show(self, scene: Scene | None) -> None:
         """Show the newest belief of a scene, or none."""
@@ -195,15 +177,13 @@ class Drawing:
     """
 
     def __init__(self, scene: Scene, beliefs: int = 1, steps: int = 20) -> None:
-        """Draw what does not change. So many beliefs can be shown at once, 1 to 5; the charts begin with
-        room for `steps`.
+        """Draw what does not change. `beliefs`: how many can be shown at once, 1 to 5; the charts begin
+        with room for `steps`.
         """
         self._backdrop = scene.backdrop
         self._steps, self._least_gas, self._most_gas = max(steps, 1), -0.5, 10.0
-        self._still: Any = None
-        """The picture without what changes, in the canvas's own form; None while it is not up to date."""
+        self._still: Any = None  # the picture without what changes; None while it is not up to date
         self._named: list[str] | None = None
-        self._clouds: list[_Cloud] = []
         with matplotlib.rc_context(STYLE):
             self.figure = Figure(figsize=SIZE_IN, dpi=FRAME_DPI)
             self._canvas: Any = FigureCanvasAgg(self.figure)  # has no types
@@ -243,8 +223,8 @@ class Drawing:
                 self._canvas.draw()
                 self._still = self._canvas.copy_from_bbox(self.figure.bbox)
             self._canvas.restore_region(self._still)
-            for ax, artist in self._moving:
-                ax.draw_artist(artist)
+            for artist in self._moving:
+                artist.axes.draw_artist(artist)
             return np.array(self._canvas.buffer_rgba())[..., :3].copy()
 
     def save(self, path: Path, form: str) -> None:
@@ -360,21 +340,11 @@ class Drawing:
         above: dict[str, Any] = {"transform": self.map.transAxes, "animated": True}
         self._title = self.map.text(0, 1.075, "", weight="bold", **above)
         self._text = self.map.text(0, 1.025, "", size=9, **above)
-        on_map = (self.path, self.readings, self._start, self._estimate, self._craft)
-        self._moving: list[tuple[Axes, Artist]] = [
-            *(part for cloud in self._clouds for part in cloud.parts),
-            *((self.map, artist) for artist in on_map),
-            (self.spread, self.spreads),
-            (self.gas, self.gases),
-            (self._compass, self._arrow),
-            (self._compass, self._wind),
-            (self.map, self._title),
-            (self.map, self._text),
-        ]
-        self._moving.sort(key=lambda part: part[1].get_zorder())
+        self._moving: list[Any] = sorted(self.figure.findobj(Artist.get_animated), key=Artist.get_zorder)
 
     def _show_path(self, scene: Scene, vehicle: bool) -> None:
-        places, taken = where(scene), scene.measurements
+        taken = scene.measurements
+        places = np.array([it.position for it in taken], np.float64).reshape(-1, 2)
         steps, gas = [it.step for it in taken], [it.gas for it in taken]
         self.path.set_data(*places.T)
         self.readings.set_offsets(places)

@@ -24,7 +24,6 @@ Each message holds all of its topic, so a viewer that jumps to a time needs only
 """
 
 import math
-from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -36,36 +35,33 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
-from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from plume.geodesy import to_global
-from scene.scene import ERROR, WARNING, Craft, Happening, Measurement, Place, Release, Scatter, Scene, ellipse
+from scene.scene import ERROR, WARNING, Craft, Happening, Measurement, Point, Release, Scatter, Scene, ellipse
 
-TOPICS = "scene/"
-"""All topics begin with it."""
+TOPICS = "scene/"  # all topics begin with it
 MAP, VEHICLE, ESTIMATE = "map", "vehicle", "estimate"
-POSES_PER_S = 10
-"""Most poses of the vehicle in a second of simulation time."""
-LONGEST_PATH = 1000
-"""Most readings of the path: the newest ones."""
+POSES_PER_S = 10  # most poses of the vehicle in a second of simulation time
+LONGEST_PATH = 1000  # readings of the path: the newest ones
 PLUME_CELLS = 60
-ORANGE, BLUE, GREEN, VERMILION, GREY = (
-    (0.90, 0.62, 0.0),
-    (0.34, 0.71, 0.91),
-    (0.0, 0.62, 0.45),
-    (0.84, 0.37, 0.0),
-    (0.6, 0.6, 0.6),
-)
-"""Colours of Okabe and Ito, which colour-blind people tell apart: vehicle, estimate, waypoint, source; and
-the area.
-"""
+COLOURS = {
+    "vehicle": (0.90, 0.62, 0.0),
+    "estimate": (0.34, 0.71, 0.91),
+    "waypoint": (0.0, 0.62, 0.45),
+    "source": (0.84, 0.37, 0.0),
+    "area": (0.6, 0.6, 0.6),
+}
+"""Of Okabe and Ito, which colour-blind people tell apart; (red, green, blue)."""
+FLOAT32 = PackedElementField.FLOAT32
+LINE_LOOP = 1  # LinePrimitive's type: a closed line
+LEVELS = {WARNING: Log.WARNING, ERROR: Log.ERROR}
 ON_GROUND_M = 0.1
-DISC_M = 0.02
-"""Thickness of the ellipse."""
+DISC_M = 0.02  # thickness of the ellipse
+Part = Any  # a part of a protobuf message, or its fields, which its constructor takes as well
 
 T = TypeVar("T")
 
@@ -74,10 +70,8 @@ class Encoded(NamedTuple):
     """One message for viewers."""
 
     topic: str
-    kind: Any
-    """Its protobuf class."""
+    kind: Any  # its protobuf class
     data: bytes
-    """The message, encoded."""
 
 
 def schema_of(kind: Any) -> tuple[str, bytes]:
@@ -96,8 +90,7 @@ def schema_of(kind: Any) -> tuple[str, bytes]:
     described = FileDescriptorSet()
     for file in files.values():
         file.CopyToProto(described.file.add())
-    schema: bytes = described.SerializeToString()
-    return str(kind.DESCRIPTOR.full_name), schema
+    return str(kind.DESCRIPTOR.full_name), described.SerializeToString()
 
 
 def pose_slot(time_s: float) -> int:
@@ -111,13 +104,13 @@ class SceneEncoder:
     def __init__(self, prefix: str = "") -> None:
         """Begin. `prefix` is put before topics and frames, where one connection shows several vehicles."""
         self._prefix = prefix
+        self._map = prefix + MAP
         self._said: dict[str, bytes] = {}
         self._slot = -1
-        self._origin: tuple[float, float, float] | None = None
-        """Latitude and longitude of home, degrees, and its altitude above mean sea level, m."""
+        self._home: tuple[float, float, float] | None = None  # as a fix: degrees, and m above mean sea level
         self._release: Release | None = None
         self._measurement: Measurement | None = None
-        self._path: deque[bytes] = deque(maxlen=LONGEST_PATH)
+        self._path = PosesInFrame(frame_id=self._map)
         self._happening: Happening | None = None
 
     def encode(self, scene: Scene, stamp_ns: int) -> list[Encoded]:
@@ -125,7 +118,7 @@ class SceneEncoder:
         compare it with their clock.
         """
         return [
-            *self._once(scene, stamp_ns),
+            *self._backdrop(scene, stamp_ns),
             *self.encode_pose(scene.craft, stamp_ns),
             *self._readings(scene.measurements, stamp_ns),
             *self._scatter(scene.scatter, stamp_ns),
@@ -137,128 +130,134 @@ class SceneEncoder:
         """Yield where the vehicle is, unless that was said of this slot of time."""
         if (
             craft is None
-            or (slot := pose_slot(craft.time_s)) == self._slot
+            or pose_slot(craft.time_s) == self._slot
             or not all(map(math.isfinite, craft.position))
         ):
             return
-        self._slot = slot
-        message = FrameTransforms()
-        transform = message.transforms.add(
-            parent_frame_id=self._prefix + MAP, child_frame_id=self._prefix + VEHICLE
-        )
-        transform.translation.x, transform.translation.y = craft.position
-        transform.translation.z = craft.altitude_m
-        _turn(transform.rotation, craft.heading if math.isfinite(craft.heading) else 0.0)
-        yield from self._say("transforms", message, stamp_ns)
+        self._slot = pose_slot(craft.time_s)
+        transform: Part = {
+            "parent_frame_id": self._map,
+            "child_frame_id": self._prefix + VEHICLE,
+            "translation": {**_at(craft.position), "z": craft.altitude_m},
+            "rotation": _turn(craft.heading if math.isfinite(craft.heading) else 0.0),
+        }
+        yield from self._say("transforms", FrameTransforms(transforms=[transform]), stamp_ns)
         if craft.fix is not None:
-            if (
-                self._origin is None or craft.altitude_m < ON_GROUND_M
-            ):  # until the take-off home may be set anew
-                self._origin = _origin(craft, craft.fix)
-            fix = LocationFix(frame_id=self._prefix + VEHICLE, position_covariance=[0.0] * 9)
-            fix.latitude, fix.longitude, fix.altitude = craft.fix
+            latitude, longitude, altitude = craft.fix
+            if self._home is None or craft.altitude_m < ON_GROUND_M:  # it may be set anew until the take-off
+                east, north = craft.position
+                self._home = *to_global(latitude, longitude, -north, -east), altitude - craft.altitude_m
+            fix = LocationFix(
+                frame_id=self._prefix + VEHICLE,
+                latitude=latitude,
+                longitude=longitude,
+                altitude=altitude,
+                position_covariance=[0.0] * 9,
+            )
             yield from self._say("fix/vehicle", fix, stamp_ns)
 
-    def encode_waypoint(self, place: Place | None, stamp_ns: int) -> Iterator[Encoded]:
+    def encode_waypoint(self, place: Point | None, stamp_ns: int) -> Iterator[Encoded]:
         """Yield the next waypoint, unless that was said."""
-        yield from self._marks("waypoint", [_ball("waypoint", place, 0.5, GREEN)] if place else [], stamp_ns)
+        yield from self._marks("waypoint", [_ball("waypoint", place, 0.5)] if place else [], stamp_ns)
 
-    def _once(self, scene: Scene, stamp_ns: int) -> Iterator[Encoded]:
-        """Yield what does not change, once."""
-        release = scene.backdrop.release
+    def _backdrop(self, scene: Scene, stamp_ns: int) -> Iterator[Encoded]:
+        """Yield what hardly changes, once."""
+        release, side_m = scene.backdrop.release, scene.backdrop.area_m
         if "area" not in self._said:
-            yield from self._marks("area", [_square(scene.backdrop.area_m)], stamp_ns)
+            yield from self._marks("area", [_square(side_m)], stamp_ns)
             yield from self._marks("vehicle", [_arrow()], stamp_ns, VEHICLE)
         if release != self._release:
             self._release = release
-            yield from self._marks(
-                "source", [_ball("source", release.source, 0.6, VERMILION)] if release else [], stamp_ns
+            source = [_ball("source", release.source, 0.6)] if release else []
+            yield from self._marks("source", source, stamp_ns)
+            cells = PLUME_CELLS if release else 0
+            grid = Grid(
+                frame_id=self._map,
+                column_count=cells,
+                row_stride=4 * cells,
+                cell_stride=4,
+                pose=_pose(),
+                cell_size=_at((side_m / PLUME_CELLS, side_m / PLUME_CELLS)),
+                fields=_floats("gas"),
+                data=release.gas(side_m, cells).astype("<f4", copy=False).tobytes() if release else b"",
             )
-            yield from self._say("plume", self._grid(release, scene.backdrop.area_m), stamp_ns)
+            yield from self._say("plume", grid, stamp_ns)
 
     def _readings(self, measurements: Sequence[Measurement], stamp_ns: int) -> Iterator[Encoded]:
         """Yield the path, and the estimate after its last reading."""
         new = _after(measurements, self._measurement)
         if new is None:  # another mission, or an earlier time
-            self._path.clear()
+            del self._path.poses[:]
             new = measurements
         if not new and (measurements or "path" not in self._said):
             return
-        last = self._measurement = measurements[-1] if measurements else None
         for measurement in new[-LONGEST_PATH:]:
-            pose = PosesInFrame()
-            position = pose.poses.add(orientation={"w": 1.0}).position
-            position.x, position.y = measurement.position
-            self._path.append(pose.SerializeToString())
-        yield from self._say(
-            "path", PosesInFrame(frame_id=self._prefix + MAP), stamp_ns, b"".join(self._path)
-        )
-        marks = [_ball("estimate", last.estimate, 0.3, BLUE), _ellipse(last)] if last else []
+            self._path.poses.add(**_pose(measurement.position))
+        del self._path.poses[:-LONGEST_PATH]
+        self._path.ClearField("timestamp")
+        yield from self._say("path", self._path, stamp_ns)
+        last = self._measurement = measurements[-1] if measurements else None
+        marks = [_ball("estimate", last.estimate, 0.3), _disc(last)] if last else []
         yield from self._marks("estimate", marks, stamp_ns)
-        if last and self._origin:
+        if last and self._home:
             (east, north), (xx, xy, yy) = last.estimate, last.covariance
-            fix = LocationFix(frame_id=self._prefix + ESTIMATE, position_covariance_type=LocationFix.KNOWN)
-            fix.latitude, fix.longitude = to_global(*self._origin[:2], north, east)
-            fix.altitude = self._origin[2]
-            fix.position_covariance[:] = [xx, xy, 0.0, xy, yy, 0.0, 0.0, 0.0, 0.0]  # east, north, up
+            latitude, longitude = to_global(*self._home[:2], north, east)
+            fix = LocationFix(
+                frame_id=self._prefix + ESTIMATE,
+                latitude=latitude,
+                longitude=longitude,
+                altitude=self._home[2],
+                position_covariance_type=LocationFix.KNOWN,
+                position_covariance=[xx, xy, 0.0, xy, yy, 0.0, 0.0, 0.0, 0.0],  # east, north, up
+            )
             yield from self._say("fix/estimate", fix, stamp_ns)
 
     def _scatter(self, scatter: Scatter | None, stamp_ns: int) -> Iterator[Encoded]:
-        if scatter is None and "particles" not in self._said:
+        rows = np.empty((0, 4), "<f4")
+        if scatter is not None:
+            rows = np.column_stack((scatter.places, np.zeros_like(scatter.weights), scatter.weights))
+        elif "particles" not in self._said:
             return
-        places = np.empty((0, 2), np.float32) if scatter is None else scatter.places
-        weights = np.empty(0, np.float32) if scatter is None else scatter.weights
-        rows = np.column_stack((places, np.zeros_like(weights), weights)).astype("<f4", copy=False)
-        cloud = PointCloud(frame_id=self._prefix + MAP, point_stride=16, data=rows.tobytes())
-        cloud.pose.orientation.w = 1.0
-        for number, name in enumerate(("x", "y", "z", "weight")):
-            cloud.fields.add(name=name, offset=4 * number, type=PackedElementField.FLOAT32)
+        cloud = PointCloud(
+            frame_id=self._map,
+            point_stride=16,
+            pose=_pose(),
+            fields=_floats("x", "y", "z", "weight"),
+            data=rows.astype("<f4", copy=False).tobytes(),
+        )
         yield from self._say("particles", cloud, stamp_ns)
-
-    def _grid(self, release: Release | None, area_m: float) -> Any:
-        cells = PLUME_CELLS if release else 0
-        grid = Grid(frame_id=self._prefix + MAP, column_count=cells, row_stride=4 * cells, cell_stride=4)
-        grid.pose.orientation.w = 1.0
-        grid.cell_size.x = grid.cell_size.y = area_m / PLUME_CELLS
-        grid.fields.add(name="gas", type=PackedElementField.FLOAT32)
-        if release:
-            grid.data = release.gas(area_m, cells).astype("<f4", copy=False).tobytes()
-        return grid
 
     def _happenings(self, happenings: Sequence[Happening], stamp_ns: int) -> Iterator[Encoded]:
         new = _after(happenings, self._happening)
         self._happening = happenings[-1] if happenings else None
-        levels = {WARNING: Log.WARNING, ERROR: Log.ERROR}
-        for happening in new or ():
-            log = Log(level=levels.get(happening.level, Log.INFO), name=happening.who, message=happening.text)
+        for it in new or ():
+            log = Log(level=LEVELS.get(it.level, Log.INFO), name=it.who, message=it.text)
             log.timestamp.FromNanoseconds(stamp_ns)
             yield self._encoded("log", log)
 
-    def _marks(self, topic: str, entities: list[Any], stamp_ns: int, frame: str = MAP) -> Iterator[Encoded]:
+    def _marks(self, topic: str, entities: list[Part], stamp_ns: int, frame: str = MAP) -> Iterator[Encoded]:
         """Yield marks in a frame; none of them delete those that were there."""
-        if not entities and topic not in self._said:
-            return
-        for entity in entities:
-            entity.frame_id, entity.frame_locked = self._prefix + frame, True
-        message = SceneUpdate(entities=entities)
-        if not entities:
-            message.deletions.add(type=SceneEntityDeletion.ALL)
-        yield from self._say(topic, message, stamp_ns)
+        placed: Part = [
+            {**entity, "frame_id": self._prefix + frame, "frame_locked": True} for entity in entities
+        ]
+        if placed:
+            yield from self._say(topic, SceneUpdate(entities=placed), stamp_ns)
+        elif topic in self._said:
+            all_of_it = SceneEntityDeletion(type=SceneEntityDeletion.ALL)
+            yield from self._say(topic, SceneUpdate(deletions=[all_of_it]), stamp_ns)
 
-    def _say(self, topic: str, message: Any, stamp_ns: int, more: bytes = b"") -> Iterator[Encoded]:
-        """Yield a message with its timestamp, unless it is what was said last. `more` is an encoded rest
-        of the message.
-        """
-        body = message.SerializeToString() + more
+    def _say(self, topic: str, message: Any, stamp_ns: int) -> Iterator[Encoded]:
+        """Yield a message with its timestamp, unless it is what was said last."""
+        body = message.SerializeToString()
         if body == self._said.get(topic):
             return
         self._said[topic] = body
         for part in _stamped(message):
             part.timestamp.FromNanoseconds(stamp_ns)
-        yield self._encoded(topic, message, more)
+        yield self._encoded(topic, message)
 
-    def _encoded(self, topic: str, message: Any, more: bytes = b"") -> Encoded:
-        return Encoded(f"{self._prefix}{TOPICS}{topic}", type(message), message.SerializeToString() + more)
+    def _encoded(self, topic: str, message: Any) -> Encoded:
+        return Encoded(f"{self._prefix}{TOPICS}{topic}", type(message), message.SerializeToString())
 
 
 def _after(values: Sequence[T], last: T | None) -> Sequence[T] | None:
@@ -271,14 +270,6 @@ def _after(values: Sequence[T], last: T | None) -> Sequence[T] | None:
     return None
 
 
-def _origin(craft: Craft, fix: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return latitude, longitude and altitude of home, from a vehicle that knows both its place and its
-    fix.
-    """
-    east, north = craft.position
-    return *to_global(fix[0], fix[1], -north, -east), fix[2] - craft.altitude_m
-
-
 def _stamped(message: Any) -> Sequence[Any]:
     """Return the parts of a message that have a timestamp."""
     if isinstance(message, SceneUpdate):
@@ -286,53 +277,70 @@ def _stamped(message: Any) -> Sequence[Any]:
     return message.transforms if isinstance(message, FrameTransforms) else [message]
 
 
-def _turn(rotation: Any, angle: float) -> None:
-    """Set a quaternion to a turn about z."""
-    rotation.z, rotation.w = math.sin(angle / 2), math.cos(angle / 2)
+# ---- parts of messages ----
 
 
-def _colour(color: Any, rgb: tuple[float, float, float], alpha: float = 1.0) -> None:
-    color.r, color.g, color.b = rgb
-    color.a = alpha
+def _at(place: Point) -> Part:
+    return {"x": place[0], "y": place[1]}
 
 
-def _ball(name: str, place: Place, diameter_m: float, rgb: tuple[float, float, float]) -> Any:
-    entity = SceneEntity(id=name)
-    ball = entity.spheres.add()
-    ball.pose.position.x, ball.pose.position.y = place
-    ball.pose.orientation.w = 1.0
-    ball.size.x = ball.size.y = ball.size.z = diameter_m
-    _colour(ball.color, rgb)
-    return entity
+def _turn(angle: float) -> Part:
+    """Return the quaternion of a turn about z."""
+    return {"z": math.sin(angle / 2), "w": math.cos(angle / 2)}
 
 
-def _ellipse(measurement: Measurement) -> Any:
+def _pose(place: Point = (0.0, 0.0), angle: float = 0.0) -> Part:
+    return {"position": _at(place), "orientation": _turn(angle)}
+
+
+def _floats(*names: str) -> Part:
+    """Return the fields of a record of floats."""
+    return [{"name": name, "offset": 4 * n, "type": FLOAT32} for n, name in enumerate(names)]
+
+
+def _colour(name: str, alpha: float = 1.0) -> Part:
+    return dict(zip("rgba", (*COLOURS[name], alpha), strict=True))
+
+
+def _ball(name: str, place: Point, diameter_m: float) -> Part:
+    ball = {"pose": _pose(place), "size": dict.fromkeys("xyz", diameter_m), "color": _colour(name)}
+    return {"id": name, "spheres": [ball]}
+
+
+def _disc(measurement: Measurement) -> Part:
     """Return the covariance of an estimate as a flat disc; its axes are twice the half axes of 2 standard
     deviations.
     """
     longer, shorter, angle = ellipse(measurement.covariance)
-    entity = SceneEntity(id="covariance")
-    disc = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
-    disc.pose.position.x, disc.pose.position.y = measurement.estimate
-    _turn(disc.pose.orientation, angle)
-    disc.size.x, disc.size.y, disc.size.z = 2 * longer, 2 * shorter, DISC_M
-    _colour(disc.color, BLUE, 0.3)
-    return entity
+    disc = {
+        "pose": _pose(measurement.estimate, angle),
+        "size": {"x": 2 * longer, "y": 2 * shorter, "z": DISC_M},
+        "color": _colour("estimate", 0.3),
+        "bottom_scale": 1.0,
+        "top_scale": 1.0,
+    }
+    return {"id": "covariance", "cylinders": [disc]}
 
 
-def _square(side_m: float) -> Any:
-    entity = SceneEntity(id="area")
-    line = entity.lines.add(type=1, thickness=2.0, scale_invariant=True)  # a closed line, 2 pixels wide
-    line.pose.orientation.w = 1.0
-    for x, y in ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m)):
-        line.points.add(x=x, y=y)
-    _colour(line.color, GREY)
-    return entity
+def _square(side_m: float) -> Part:
+    line = {
+        "type": LINE_LOOP,
+        "pose": _pose(),
+        "thickness": 2.0,
+        "scale_invariant": True,  # pixels
+        "points": [_at(corner) for corner in ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))],
+        "color": _colour("area"),
+    }
+    return {"id": "area", "lines": [line]}
 
 
-def _arrow() -> Any:
-    entity = SceneEntity(id="vehicle")
-    arrow = entity.arrows.add(shaft_length=0.6, shaft_diameter=0.2, head_length=0.4, head_diameter=0.5)
-    arrow.pose.orientation.w = 1.0
-    _colour(arrow.color, ORANGE)
-    return entity
+def _arrow() -> Part:
+    arrow = {
+        "pose": _pose(),
+        "shaft_length": 0.6,
+        "shaft_diameter": 0.2,
+        "head_length": 0.4,
+        "head_diameter": 0.5,
+        "color": _colour("vehicle"),
+    }
+    return {"id": "vehicle", "arrows": [arrow]}

@@ -4,6 +4,7 @@ home; angles in rad.
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,21 +13,18 @@ from numpy.typing import NDArray
 from plume.dispersion import concentration
 from plume.scenario import AREA_M, SUCCESS_RADIUS_M, Scenario
 
-Place = tuple[float, float]
-"""(x, y) m."""
+Point = tuple[float, float]  # (x, y) m
 Floats = NDArray[np.float32]
 
-INFO, WARNING, ERROR, STOP = "info", "warning", "error", "stop"
-"""Levels of a `Happening`."""
+INFO, WARNING, ERROR, STOPPED = "info", "warning", "error", "stop"  # levels of a `Happening`
 
 
 @dataclass(frozen=True, slots=True)
 class Release:
     """The truth of a simulation: where the gas comes from and how it spreads. A real flight has none."""
 
-    source: Place
-    wind: tuple[float, float]
-    """(u cos φ, u sin φ) m/s: points to where the wind comes from."""
+    source: Point
+    wind: tuple[float, float]  # (u cos φ, u sin φ) m/s: points to where the wind comes from
     q: float
     d: float
     tau: float
@@ -55,31 +53,22 @@ class Release:
 class Backdrop:
     """What does not change during a mission."""
 
-    vehicle: str
-    """Its namespace, `uav/1`."""
-    area_m: float = AREA_M
-    """Side of the square search area [0, area_m]²."""
-    title: str = ""
-    """Words for people: the policy, the seed; empty if unknown."""
-    release: Release | None = None
-    """None: a real flight, or a simulation whose truth is not told."""
+    vehicle: str  # its namespace, `uav/1`
+    area_m: float = AREA_M  # side of the square search area [0, area_m]²
+    title: str = ""  # words for people: the policy, the seed; empty if unknown
+    release: Release | None = None  # None: a real flight, or a simulation whose truth is not told
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
     """How the vehicle says it is. What it does not say is unknown."""
 
-    battery: float | None = None
-    """Remaining charge, 0 to 1."""
+    battery: float | None = None  # remaining charge, 0 to 1
     volts: float | None = None
-    gps: str = ""
-    """`3-D fix, 10 satellites`, `no fix`; empty if unknown."""
-    ailing: tuple[str, ...] | None = None
-    """Parts that are on and not healthy, in MAVLink's words."""
-    placed: bool | None = None
-    """Whether its estimator stands by the position."""
-    wind: tuple[float, float] | None = None
-    """As it estimates it, (u cos φ, u sin φ) m/s: points to where it comes from."""
+    gps: str = ""  # `3-D fix, 10 satellites`, `no fix`; empty if unknown
+    ailing: tuple[str, ...] | None = None  # parts that are on and not healthy, in MAVLink's words
+    placed: bool | None = None  # whether its estimator stands by the position
+    wind: tuple[float, float] | None = None  # as it estimates it: points to where it comes from, m/s
 
     @property
     def health(self) -> str:
@@ -93,17 +82,12 @@ class Craft:
     """The vehicle as it reports itself."""
 
     time_s: float
-    position: Place
-    """NaN if unknown."""
-    altitude_m: float = 0.0
-    """Above home."""
-    heading: float = math.nan
-    """Where the nose points, counter-clockwise from +x (east); NaN if unknown."""
-    mode: str = ""
-    """`HOLD`, `OFFBOARD`, ArduCopter's `BRAKE`; empty if unknown."""
+    position: Point  # NaN if unknown
+    altitude_m: float = 0.0  # above home
+    heading: float = math.nan  # where the nose points, counter-clockwise from +x (east); NaN if unknown
+    mode: str = ""  # `HOLD`, `OFFBOARD`, ArduCopter's `BRAKE`; empty if unknown
     armed: bool | None = None
-    fix: tuple[float, float, float] | None = None
-    """(latitude, longitude) in degrees, altitude above mean sea level in m; None if unknown."""
+    fix: tuple[float, float, float] | None = None  # latitude, longitude, degrees, and altitude above sea, m
     condition: Condition = Condition()
 
 
@@ -113,12 +97,11 @@ class Measurement:
 
     step: int
     time_s: float
-    position: Place
+    position: Point
     gas: float
     spread_m: float
-    estimate: Place
-    covariance: tuple[float, float, float]
-    """(xx, xy, yy) m²."""
+    estimate: Point
+    covariance: tuple[float, float, float]  # (xx, xy, yy) m²
     ceased: bool = False
 
 
@@ -126,10 +109,8 @@ class Measurement:
 class Scatter:
     """The belief's particles."""
 
-    places: Floats
-    """(N, 2) m."""
-    weights: Floats
-    """(N,), which sum to one."""
+    places: Floats  # (N, 2) m
+    weights: Floats  # (N,), which sum to one
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +118,7 @@ class Service:
     """One service and how it is doing."""
 
     name: str
-    verdict: str
-    """`ok`, `missing`, `starting`, `stale` or `refusing`, as `plumeward status` says it."""
+    verdict: str  # `ok`, `missing`, `starting`, `stale` or `refusing`, as `plumeward status` says it
     state: str = ""
     about: str = ""
     step: int = -1
@@ -152,8 +132,7 @@ class Happening:
 
     time_s: float
     level: str
-    who: str
-    """`uav`, `estimator`, `agent`, or who said it."""
+    who: str  # `uav`, `estimator`, `agent`, or who said it
     text: str
 
 
@@ -161,10 +140,8 @@ class Happening:
 class Ending:
     """How the search ended."""
 
-    verdict: str
-    """`located`, `FALSE STOP`, `ceased` where the truth is not known, or `not ceased`."""
-    text: str
-    """A line or more for people."""
+    verdict: str  # `located`, `FALSE STOP`, `ceased` where the truth is not known, or `not ceased`
+    text: str  # a line or more for people
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,20 +149,14 @@ class Scene:
     """What there is to see at one moment. Lists hold everything from the beginning until then."""
 
     backdrop: Backdrop
-    time_s: float = 0.0
-    """Simulation time."""
+    time_s: float = 0.0  # simulation time
     craft: Craft | None = None
-    track: Floats = field(default_factory=lambda: np.empty((0, 2), np.float32))
-    """(K, 2) m: where the vehicle has been."""
+    track: Floats = field(default_factory=lambda: np.empty((0, 2), np.float32))  # (K, 2) m: where it was
     measurements: Sequence[Measurement] = ()
     scatter: Scatter | None = None
-    waypoint: Place | None = None
-    wind: tuple[float, float] | None = None
-    """As measured, before that as the vehicle estimates it, (u cos φ, u sin φ) m/s: points to where it
-    comes from.
-    """
-    stop: str = ""
-    """The stop criterion, in the form of --stop."""
+    waypoint: Point | None = None
+    wind: tuple[float, float] | None = None  # as measured, at first as the vehicle estimates it; whence, m/s
+    stop: str = ""  # the stop criterion, in the form of --stop
     assume: str = ""
     services: Sequence[Service] = ()
     happenings: Sequence[Happening] = ()
@@ -195,13 +166,12 @@ class Scene:
     def threshold_m(self) -> float | None:
         """ζ of the stop `spread:ζ`; None with another criterion."""
         kind, _, rest = self.stop.partition(":")
-        try:
+        with suppress(ValueError):
             return float(rest) if kind == "spread" else None
-        except ValueError:
-            return None
+        return None
 
 
-def judged(step: int, estimate: Place, spread_m: float, release: Release | None) -> Ending:
+def judged(step: int, estimate: Point, spread_m: float, release: Release | None) -> Ending:
     """Return how a search that was stopped has ended. Only a simulation can tell whether the stop is
     right.
     """
@@ -209,9 +179,8 @@ def judged(step: int, estimate: Place, spread_m: float, release: Release | None)
     if release is None:
         return Ending("ceased", words)
     error_m = math.dist(estimate, release.source)
-    return Ending(
-        "located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP", f"{words}; error {error_m:.2f} m"
-    )
+    verdict = "located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP"
+    return Ending(verdict, f"{words}; error {error_m:.2f} m")
 
 
 def ellipse(covariance: tuple[float, float, float], deviations: float = 2.0) -> tuple[float, float, float]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from agent import bundle, graphs
 from aircraft.bridge import bus_link, links, tcp
-from ground.view import connections, live, server, word
+from ground.view import access, live, server, serving
 from link.access import crowds
 from link.bus import inbox, opening
 from link.bus.keys import BELIEF, KEYS, READING
@@ -44,10 +44,10 @@ def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
         "names of services": f"ours and {inbox.MOST_OTHERS} others",
         "pages of one server": f"{server.MOST_CLIENTS} that only look, {server.MOST_CLIENTS} that may "
         "command",
-        "connections to the page's server that are no page": f"{connections.MOST_WAITING}",
+        "connections to the page's server that are no page": f"{serving.MOST_WAITING}",
         "message of a page": f"{server.LONGEST_MESSAGE:,} bytes",
-        "words that allow commands": f"of an address that gave a wrong one none for {word.WRONG_S:g} s; "
-        f"{word.SHORTEST} characters at least",
+        "words that allow commands": f"of an address that gave a wrong one none for {access.WRONG_S:g} s; "
+        f"{access.SHORTEST} characters at least",
         "commands of a page": f"{server.MOST_COMMANDS} within {server.COMMANDS_S:g} s; return and land "
         "without limit",
         "unread answers to a page's commands": f"{server.MOST_ANSWERS}",

@@ -13,7 +13,7 @@ from link.files import whole
 from scene.animation import write_gif, write_mp4
 
 if TYPE_CHECKING:
-    from scene.animation import Frame
+    from scene.animation import Picture
     from scene.follow.history import History
     from scene.scene import Measurement, Scene
 
@@ -159,7 +159,7 @@ def _draw(history: "History", beliefs: Sequence["Scene"], path: Path, form: str)
     drawing.show(scene, beliefs).save(path, form)
 
 
-def _frames(history: "History") -> Iterator["Frame"]:
+def _frames(history: "History") -> Iterator["Picture"]:
     """Yield a frame for each reading, and show on stderr how many are done."""
     from rich.console import Console
     from rich.progress import track

@@ -7,8 +7,7 @@ from link.bus.frames import frames_in
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, WAYPOINT
 from link.record.record import Entry
 from scene.follow.area import PLACING
-from scene.follow.history import History
-from scene.follow.recorded import backdrop_of, turns_of
+from scene.follow.recorded import begun
 from scene.follow.telemetry import ATTITUDE, GLOBAL, LOCAL, TEXT
 from scene.foxglove import Encoded, SceneEncoder, pose_slot
 
@@ -20,7 +19,7 @@ class RecordedScene:
 
     def __init__(self, about: dict[str, Any], namespace: str) -> None:
         """Begin; `about` is the run's own description, which for a simulation has the truth."""
-        self._history = History(*backdrop_of(about, namespace), turns=turns_of(about), whole=False)
+        self._history = begun(about, namespace)
         self._encoder = SceneEncoder()
         self._slots: dict[int, int] = {}
         self._happening: object = self  # none is this one: the first message gives a scene

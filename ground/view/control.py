@@ -30,12 +30,9 @@ from scene.follow.telemetry import TEXT, frames
 
 URGENT: tuple[CommandName, ...] = ("return", "land")
 """Commands that wait for nothing: they replace one that is not answered yet."""
-AGAIN_S = 0.4
-"""Time after which a command that nobody has acknowledged is sent again."""
-ANSWER_S = TRIES * AGAIN_S
-"""Longest time without an acknowledgement."""
-LOOK_S = 0.05
-"""Longest time between two looks at a command that is not over."""
+AGAIN_S = 0.4  # time after which a command that nobody has acknowledged is sent again
+ANSWER_S = TRIES * AGAIN_S  # longest time without an acknowledgement
+LOOK_S = 0.05  # longest time between two looks at a command that is not over
 ACK = mavlink.MAVLINK_MSG_ID_COMMAND_ACK
 
 
@@ -56,9 +53,8 @@ class Awaited:
         self._name, self._system, self._component = name, system, component
         self._run = CommandRun(order(name, system, component), self._seen, lambda: self._reason, AGAIN_S)
         self._texts = Texts()
-        self._reason = ""
-        self._refused = False
-        self._mode, self._armed = "", True
+        self._reason = self._mode = ""
+        self._armed = True
 
     def send(self, now_s: float) -> Message | None:
         """Return the copy of the command that is due."""
@@ -72,11 +68,10 @@ class Awaited:
                     self._mode = meaning(fields["autopilot"], fields["custom_mode"])
                     self._armed = bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                 elif frame.message_id == TEXT:
-                    said = self._texts.joined(fields["text"], fields["id"], fields["chunk_seq"])
-                    self._reason = said if said and self._refused else self._reason
+                    text = self._texts.joined(fields["text"], fields["id"], fields["chunk_seq"])
+                    self._reason = text if text and self._run.refused else self._reason
                 elif _to_us(fields["target_system"], fields["target_component"]):
                     self._run.acknowledged(fields["command"], fields["result"], now_s)
-                    self._refused = self._run.refused
 
     def over(self, now_s: float) -> CommandAnswer | None:
         """Return the answer once it is known."""
@@ -87,26 +82,21 @@ class Awaited:
 
     def _counts(self, frame: Frame) -> bool:
         """Whether a frame is the autopilot's HEARTBEAT, or what the commanded component says."""
-        return frame.system == self._system and frame.component == (
-            AUTOPILOT if frame.message_id == HEARTBEAT else self._component
-        )
+        speaker = AUTOPILOT if frame.message_id == HEARTBEAT else self._component
+        return (frame.system, frame.component) == (self._system, speaker)
 
     def _seen(self) -> bool:
         """Whether the vehicle does it; once it has accepted, also whether it is through with it: a return
         ends as a landing, motors off.
-        """
-        if self._mode == WANTED[self._name].name and (self._run.accepted or not self._gives_back):
-            return True
-        return self._run.accepted and (
-            not self._armed or (self._name == "return" and self._mode == Mode.LAND.name)
-        )
 
-    @property
-    def _gives_back(self) -> bool:
-        """Whether a real vehicle is given back: a pilot may fly it in the very mode in which the search
-        does.
+        A real vehicle that is given back has to accept it: a pilot may fly it in the very mode in which the
+        search does.
         """
-        return self._name == "resume" and self._component == SEARCH
+        given_back = self._name == "resume" and self._component == SEARCH
+        if self._mode == WANTED[self._name].name and (self._run.accepted or not given_back):
+            return True
+        landing = self._name == "return" and self._mode == Mode.LAND.name
+        return self._run.accepted and (landing or not self._armed)
 
 
 def _to_us(system: int, component: int) -> bool:

@@ -5,51 +5,88 @@ The bus's thread only takes messages. Whoever asks first for a new version of a 
 others get the same one.
 """
 
+import re
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import zenoh
+
 from aircraft.operator import AUTOPILOT, SEARCH
-from ground.view.roster import Presence, Roster
 from link.access.identity import AccessError, secured
-from link.bus.keys import KEYS, MAVLINK_IN, MAVLINK_OUT
+from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT
 from link.bus.opening import NoRouter
-from link.bus.session import Arrival
+from link.bus.session import Arrival, Bus
 from link.record.record import SimulationClock
 from link.record.tap import Tap
-from scene.follow.history import History, WindTurn
-from scene.scene import Backdrop, Scene
+from scene.follow.recorded import begun
+from scene.scene import Scene
 
 COMMANDS = replace(MAVLINK_IN, delivery=replace(MAVLINK_IN.delivery, blocking=False))
 """Commands go out now or never: what waited here would go out late, when nobody wants it any more. They
 are sent again anyway.
 """
-EVERY_S = 0.01
-"""How often messages are taken."""
-LOOK_S = 0.2
-"""How often it looks for the router, and tries again to join it."""
+NAMESPACE = re.compile(r"[^*$\x00-\x1f\x7f]{1,200}/")
+"""A namespace and its slash. A token may also be for a pattern of keys, such as uav/*: that is no vehicle.
+"""
+MOST_CHANGES = 10_000  # changes that wait; beyond that the oldest are dropped
+EVERY_S = 0.01  # how often messages are taken
+LOOK_S = 0.2  # how often it looks for the router, and tries again to join it
 CONNECT_TIMEOUT_S = 1.0
 GONE_AFTER_S = 0.5
 """A part that is back within this time was not gone; a router that is back gets as long to name the parts
 that it knows.
 """
-JUDGE_S = 1.0
-"""Longest time between two versions of what there is to see: silent parts are judged anew."""
+JUDGE_S = 1.0  # longest time between two versions of what there is to see: silent parts are judged anew
 MOST_VEHICLES = 32
 
 
-class Described(NamedTuple):
-    """What was told beforehand of one vehicle."""
+class Presence(NamedTuple):
+    """A service of a vehicle joined the router or left it."""
 
-    namespace: str | None
-    """None: the first vehicle that appears."""
-    backdrop: Backdrop
-    budget: int | None
-    turns: Sequence[WindTurn] | None = ()
+    namespace: str
+    service: str
+    alive: bool
+
+
+class Roster(Bus):
+    """An observer of a whole router, without a namespace of its own: it sees the services of every
+    namespace by their liveliness tokens.
+    """
+
+    def __init__(self, connect: str, secure: Path | None = None) -> None:
+        """Join a router as a client; raises what `Bus` raises."""
+        super().__init__(
+            "view",
+            connect,
+            None,
+            announced=False,
+            secure=secure,
+            connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S),
+        )
+        self._changes: deque[Presence] = deque(maxlen=MOST_CHANGES)
+        tokens = f"**/{HEALTH.name.replace('<service>', '*')}"
+        self._hold(
+            "liveliness",
+            lambda session: session.liveliness().declare_subscriber(tokens, self._changed, history=True),
+        )
+
+    def _changed(self, sample: zenoh.Sample) -> None:
+        namespace, _, service = str(sample.key_expr).rpartition(HEALTH.name.partition("<")[0])
+        if NAMESPACE.fullmatch(namespace) and self._names.admits(service):
+            self._changes.append(Presence(namespace[:-1], service, sample.kind == zenoh.SampleKind.PUT))
+
+    def changes(self) -> list[Presence]:
+        """Return what has changed since the last call; at first, all that are there. A lost router takes
+        all of them with it.
+        """
+        self._names.tell(self.log)
+        self.keep_link()
+        return [self._changes.popleft() for _ in range(len(self._changes))]
 
 
 Built = tuple[Scene, object, float | None]
@@ -59,18 +96,13 @@ Built = tuple[Scene, object, float | None]
 class LiveVehicle:
     """One vehicle on the bus and its history since it was first seen."""
 
-    def __init__(
-        self, name: str, router: str, described: Described | None, secure: Path | None = None
-    ) -> None:
-        """Join its bus; raises NoRouter."""
+    def __init__(self, name: str, router: str, about: dict[str, Any], secure: Path | None = None) -> None:
+        """Join its bus; raises NoRouter. `about` describes its run, as far as that is known."""
         self.name = name
         self.here = True
-        self.version = 0
-        """Grows with each change of what there is to see."""
-        self.listeners: set[Callable[[bytes], None]] = set()
-        """Called in the bus's thread with each payload of telemetry."""
-        told = described or Described(name, Backdrop(name), None)
-        self.history = History(told.backdrop, told.budget, turns=told.turns, whole=False)
+        self.version = 0  # grows with each change of what there is to see
+        self.listeners: set[Callable[[bytes], None]] = set()  # called in the bus's thread with telemetry
+        self.history = begun(about, name)
         self._clock = SimulationClock()
         self._frozen_s: float | None = None
         self._lock = threading.Lock()
@@ -78,14 +110,9 @@ class LiveVehicle:
         self._built: tuple[int, Built] | None = None
         self._judge_at = 0.0
         self._alive: dict[str, bool] = {}
+        timeout_ms = round(1000 * CONNECT_TIMEOUT_S)
         self._bus = Tap(
-            "view",
-            router,
-            name,
-            "error",
-            announced=False,
-            secure=secure,
-            connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S),
+            "view", router, name, "error", announced=False, secure=secure, connect__timeout_ms=timeout_ms
         )
         self._bus.subscribe(*KEYS)
 
@@ -97,13 +124,10 @@ class LiveVehicle:
             "title": backdrop.title,
             "here": self.here,
             "has_truth": backdrop.release is not None,
-            "begin_s": None,
-            "end_s": None,
-            "readings_s": None,
-            "moments": None,
+            **dict.fromkeys(("begin_s", "end_s", "readings_s", "moments")),
         }
 
-    def scene(self, at_s: float | None = None) -> Built:
+    def scene(self, _at_s: float | None = None) -> Built:
         """Return the newest scene, which of its missions it is of, and when the newest message in it was
         published, ms since 1970.
         """
@@ -114,6 +138,23 @@ class LiveVehicle:
                     scene = history.at(wall_s=self._frozen_s or time.time())
                     self._built = version, (scene, history.missions, 1000 * history.wall_s or None)
             return self._built[1]
+
+    @property
+    def system(self) -> int:
+        """Its MAVLink system id; 0: not known yet."""
+        return self.history.own.system
+
+    @property
+    def commanded(self) -> int:
+        """The component that obeys an operator's words: the simulated autopilot, or the search that flies
+        a real one.
+        """
+        return SEARCH if self.history.is_real else AUTOPILOT
+
+    def send(self, payload: bytes) -> None:
+        """Publish on `mavlink/in`. It does not wait."""
+        if self._frozen_s is None:
+            self._bus.publish(COMMANDS, payload)
 
     # ---- in the bus's thread ----
 
@@ -138,34 +179,13 @@ class LiveVehicle:
             message.name, message.payload, message.attachment, time_s, message.published_ns / 1e9
         )
 
-    def lives(self, service: str, alive: bool) -> None:
-        """Take that a part appeared or is gone."""
+    def lives(self, service: str, alive: bool) -> bool:
+        """Take that a part appeared or is gone; returns whether any is here."""
         with self._lock:
             self._alive[service] = alive
             self.history.lives(service, alive, time.time())
             self.version += 1
-
-    @property
-    def system(self) -> int:
-        """Its MAVLink system id; 0: not known yet."""
-        return self.history.own.system
-
-    @property
-    def commanded(self) -> int:
-        """The component that obeys an operator's words: the simulated autopilot, or the search that flies
-        a real one.
-        """
-        return SEARCH if self.history.is_real else AUTOPILOT
-
-    @property
-    def inhabited(self) -> bool:
-        """Whether any of its parts is on the bus."""
         return any(self._alive.values())
-
-    def send(self, payload: bytes) -> None:
-        """Publish on `mavlink/in`. It does not wait."""
-        if self._frozen_s is None:
-            self._bus.publish(COMMANDS, payload)
 
     def close(self) -> None:
         """Leave its bus and keep what there is to see as it is now."""
@@ -181,35 +201,31 @@ class LiveFleet:
     def __init__(
         self,
         router: str,
-        described: Described | None,
+        about: dict[str, Any],
         changed: Callable[[], None],
         say: Callable[[str], None],
         secure: Path | None = None,
     ) -> None:
         """Begin to follow.
 
+        about: describes the run of the vehicle with its `namespace`, or, without one, of the first that
+        appears.
         changed: called in the bus's thread when there is something new to see; say: told, in a line, of
         what is wrong.
         secure: the folder of certificates. Raises BusError if `router` is not an endpoint, AccessError
         without a certificate that is fit.
         """
-        self.vehicles: dict[str, LiveVehicle] = {}
-        """In the order in which they appeared."""
-        self.list_version = 0
-        """Grows with each change of the list or the notice."""
-        self.notice = ""
-        """What people should know of the bus: no router, too many vehicles."""
-        self._router, self._described, self._changed, self._say = router, described, changed, say
+        self.vehicles: dict[str, LiveVehicle] = {}  # in the order in which they appeared
+        self.list_version = 0  # grows with each change of the list or the notice
+        self.notice = ""  # what people should know of the bus: no router, too many vehicles
+        self._router, self._about, self._changed, self._say = router, about, changed, say
         self._secure = secure
         self._ended = threading.Event()
-        self._pending: dict[tuple[str, str], float] = {}
+        self._missed_s: dict[tuple[str, str], float] = {}  # parts that may be gone, and since when
         self._crowded = False
-        roster, trouble = None, ""
-        try:
-            roster = Roster("view", router, CONNECT_TIMEOUT_S, secure)
-        except NoRouter as error:
-            trouble = self._trouble(error)
-        self._thread = threading.Thread(target=self._run, args=(roster, trouble), name="bus", daemon=True)
+        self._trouble = ""
+        roster = self._joined(NoRouter)
+        self._thread = threading.Thread(target=self._run, args=(roster,), name="bus", daemon=True)
         self._thread.start()
 
     def entries(self) -> list[dict[str, Any]]:
@@ -221,15 +237,28 @@ class LiveFleet:
         self._ended.set()
         self._thread.join(CONNECT_TIMEOUT_S + 1.0)
 
-    def _run(self, roster: Roster | None, trouble: str) -> None:
-        while roster is None and not self._ended.wait(LOOK_S):
-            self._tell(trouble)
-            try:
-                roster = Roster("view", self._router, CONNECT_TIMEOUT_S, self._secure)
-            except (NoRouter, AccessError) as error:
-                trouble = self._trouble(error)
-        if roster is None:
-            return
+    # ---- the router ----
+
+    def _joined(self, *awaited: type[NoRouter | AccessError]) -> Roster | None:
+        """Join the router; None if an error says that we have to wait for it."""
+        try:
+            return Roster(self._router, self._secure)
+        except awaited as error:
+            self._trouble = self._reason(error)
+            return None
+
+    def _reason(self, error: Exception) -> str:
+        """Return what people are told when the router cannot be joined."""
+        reason = str(error).removeprefix("--connect: ")
+        known = isinstance(error, AccessError) or "cannot be joined" in reason
+        return reason if known else f"no router at {self._router}: waiting for one"
+
+    def _run(self, roster: Roster | None) -> None:
+        while roster is None:
+            if self._ended.wait(LOOK_S):
+                return
+            self._tell(self._trouble)
+            roster = self._joined(NoRouter, AccessError)
         with roster:
             try:
                 self._follow(roster)
@@ -246,9 +275,10 @@ class LiveFleet:
         while not self._ended.wait(EVERY_S):
             now_s = time.monotonic()
             if now_s >= look_at:
-                look_at = now_s + 0.2
-                was, connected = connected, roster.connected
-                connected_since = now_s if connected and not was else connected_since
+                look_at = now_s + LOOK_S
+                if roster.connected and not connected:
+                    connected_since = now_s
+                connected = roster.connected
                 gone = "" if connected else f"the router at {self._router} is gone: waiting for it"
                 self._tell((self._lack() if gone or joining else "") or gone)
             joining.extend(roster.changes())
@@ -257,16 +287,10 @@ class LiveFleet:
                     joining.popleft()
                 else:
                     join_at = now_s + LOOK_S
-            told = self._bury(now_s) if connected and now_s - connected_since >= GONE_AFTER_S else False
-            seen = [vehicle.follow() for vehicle in self.vehicles.values()]
-            if told or any(seen):
+            if connected and now_s - connected_since >= GONE_AFTER_S:
+                self._bury(now_s)
+            if any([vehicle.follow() for vehicle in self.vehicles.values()]):
                 self._changed()
-
-    def _trouble(self, error: NoRouter | AccessError) -> str:
-        """Return what people are told when the router cannot be joined."""
-        reason = str(error).removeprefix("--connect: ")
-        known = isinstance(error, AccessError) or "cannot be joined" in reason
-        return reason if known else f"no router at {self._router}: waiting for one"
 
     def _lack(self) -> str:
         """Return what is wrong with our certificate now: it may have expired since we joined. Empty if
@@ -275,7 +299,7 @@ class LiveFleet:
         try:
             secured("--connect", self._router, self._secure, "view", None)
         except AccessError as error:
-            return self._trouble(error)
+            return self._reason(error)
         return ""
 
     def _tell(self, notice: str) -> None:
@@ -288,53 +312,41 @@ class LiveFleet:
         self.list_version += 1
         self._changed()
 
+    # ---- who is there ----
+
     def _note(self, presence: Presence, now_s: float) -> bool:
         """Take a change; returns False if it has to wait for the router."""
         name, service, alive = presence
         if not alive:
             if name in self.vehicles:
-                self._pending[name, service] = now_s
+                self._missed_s[name, service] = now_s
             return True
-        self._pending.pop((name, service), None)
+        self._missed_s.pop((name, service), None)
+        if name not in self.vehicles and len(self.vehicles) >= MOST_VEHICLES:
+            if not self._crowded:
+                what = f"more than {MOST_VEHICLES} vehicles on the router"
+                self._say(f"warning: {what}; only the first ones are shown")
+            self._crowded = True
+            return True
         if name not in self.vehicles:
-            if len(self.vehicles) >= MOST_VEHICLES:
-                if not self._crowded:
-                    self._say(
-                        f"warning: more than {MOST_VEHICLES} vehicles on the router; only the first ones are "
-                        "shown"
-                    )
-                self._crowded = True
-                return True
             try:
-                self.vehicles = {
-                    **self.vehicles,
-                    name: LiveVehicle(name, self._router, self._told_of(name), self._secure),
-                }
+                vehicle = LiveVehicle(name, self._router, self._about_of(name), self._secure)
             except (NoRouter, AccessError):
                 return False
-            self._list_changed()
-        vehicle = self.vehicles[name]
-        vehicle.lives(service, True)
-        if not vehicle.here:
-            vehicle.here = True
-            self._list_changed()
-        self._changed()
+            self.vehicles = {**self.vehicles, name: vehicle}
+        self.vehicles[name].lives(service, True)
+        self.vehicles[name].here = True
+        self._list_changed()
         return True
 
-    def _told_of(self, name: str) -> Described | None:
-        told = self._described
-        if told is None or (told.namespace != name if told.namespace else self.vehicles):
-            return None
-        return told._replace(backdrop=replace(told.backdrop, vehicle=name))
+    def _about_of(self, name: str) -> dict[str, Any]:
+        namespace = self._about.get("namespace")
+        return self._about if namespace == name or (namespace is None and not self.vehicles) else {}
 
-    def _bury(self, now_s: float) -> bool:
-        """Report the parts that have been gone for long enough; returns whether there are any."""
-        gone = [part for part, since_s in self._pending.items() if now_s - since_s >= GONE_AFTER_S]
-        for name, service in gone:
-            del self._pending[name, service]
-            vehicle = self.vehicles[name]
-            vehicle.lives(service, False)
-            if not vehicle.inhabited:
-                vehicle.here = False
+    def _bury(self, now_s: float) -> None:
+        """Report the parts that have been gone for long enough."""
+        for (name, service), since_s in tuple(self._missed_s.items()):
+            if now_s - since_s >= GONE_AFTER_S:
+                del self._missed_s[name, service]
+                self.vehicles[name].here = self.vehicles[name].lives(service, False)
                 self._list_changed()
-        return bool(gone)

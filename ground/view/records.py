@@ -1,5 +1,6 @@
 """Recorded missions as the page shows them: their time line, and the scene at any time."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,16 +14,16 @@ from scene.scene import Scene
 class RecordedVehicle:
     """One record."""
 
+    version = 0
+
     def __init__(self, name: str, history: History) -> None:
         """Take all that the record tells."""
         self.name = name
-        self.version = 0
         self._history = history
 
     def entry(self) -> dict[str, Any]:
         """Return its row of the list of vehicles."""
         history = self._history
-        readings = history.measurements.times_s
         return {
             "name": self.name,
             "title": history.backdrop.title,
@@ -30,7 +31,7 @@ class RecordedVehicle:
             "has_truth": history.backdrop.release is not None,
             "begin_s": history.begin_s,
             "end_s": history.time_s,
-            "readings_s": readings,
+            "readings_s": history.measurements.times_s,
             "moments": [
                 (max(each.time_s, history.begin_s), each.level, each.who, each.text)
                 for each in history.happenings.values
@@ -41,7 +42,7 @@ class RecordedVehicle:
         """Return the scene at a simulation time, by default the last one, and which mission it is of; a
         record is not published.
         """
-        return self._history.at() if at_s is None else self._history.at(at_s), self._history.missions, None
+        return self._history.at(math.inf if at_s is None else at_s), self._history.missions, None
 
 
 class RecordedFleet:
@@ -52,8 +53,7 @@ class RecordedFleet:
     def __init__(self, paths: Sequence[Path]) -> None:
         """Read them; raises RecordError."""
         self.vehicles: dict[str, RecordedVehicle] = {}
-        self.damaged = False
-        """Whether pieces of them are missing."""
+        self.damaged = False  # whether pieces of them are missing
         remarks: list[str] = []
         for number, path in enumerate(paths, start=1):
             name = path.stem if path.stem not in self.vehicles else f"{path.stem} ({number})"
@@ -63,8 +63,7 @@ class RecordedFleet:
             self.vehicles[name] = RecordedVehicle(name, history)
             if remark := remark_on(recording, history):
                 remarks.append(f"the record {name} {remark}")
-        self.notice = "; ".join(remarks)
-        """What people should know of the files."""
+        self.notice = "; ".join(remarks)  # what people should know of the files
 
     def entries(self) -> list[dict[str, Any]]:
         """Return the list of vehicles."""

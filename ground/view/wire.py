@@ -2,6 +2,7 @@
 the page does not have yet.
 """
 
+import math
 import struct
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,17 +13,18 @@ import numpy as np
 
 from scene.scene import Craft, Floats, Measurement, Release, Scatter, Scene, ellipse
 
-PLUME_CELLS = 96
-"""The true plume is sent as so many by so many cells."""
-NOBODY: Floats = np.empty((0, 3), np.float32)
+PLUME_CELLS = 96  # the true plume is sent as this many cells by this many
 
 
 @dataclass
-class Cursor:
-    """What a page has of one vehicle."""
+class Sent:
+    """What was sent of one vehicle to one page."""
 
-    mission: object = None
-    """Which mission it is of; another one is sent from its beginning."""
+    number: int = -1
+    at_s: float = -math.inf
+    drawn: bool = True
+    what: object = None  # identifies the scene
+    mission: object = None  # which mission it is of; another one is sent from its beginning
     measurements: int = 0
     happenings: int = 0
     track: int = 0
@@ -37,15 +39,14 @@ class Cursor:
 
 def packed(
     scene: Scene,
-    cursor: Cursor,
+    sent: Sent,
     mission: object,
     number: int,
     *,
     truth: bool = False,
     published_ms: float | None = None,
 ) -> bytes:
-    """Return a scene as a message, without what the page has, and note in the cursor that the page has it
-    now.
+    """Return a scene as a message, without what the page has, and note in `sent` that the page has it now.
 
     The message: uint32, little-endian, the length of the header; the header in JSON, padded with spaces so
     that both have a multiple of 4 bytes; the arrays, little-endian float32, in the order that the header
@@ -54,29 +55,25 @@ def packed(
     mission: identifies the mission that the scene is of.  truth: whether the page asked for the true plume
     and source.
     """
-    anew = cursor.mission != mission
-    if anew:
-        cursor.begin(mission)
-    shown = scene.backdrop.release if truth else None
     arrays: list[tuple[dict[str, Any], Floats]] = []
-    if anew or scene.scatter is not cursor.scatter:
+    begins = sent.mission != mission
+    if begins:
+        sent.begin(mission)
+    if begins or scene.scatter is not sent.scatter:
         arrays.append(({"name": "particles"}, _particles(scene.scatter)))
-    track_from = min(cursor.track, len(scene.track))
+    track_from = min(sent.track, len(scene.track))
     arrays.append(({"name": "track", "from": track_from}, scene.track[track_from:]))
-    if shown is not None and shown != cursor.release:
+    shown = scene.backdrop.release if truth else None
+    if shown is not None and shown != sent.release:
         arrays.append(({"name": "plume"}, plume(shown, scene.backdrop.area_m)))
-    header = _header(scene, cursor) | {
+    header = _header(scene, sent) | {
         "number": number,
         "published_ms": published_ms,
         "truth": None if shown is None else {"source": shown.source},
         "arrays": [{**about, "shape": array.shape} for about, array in arrays],
     }
-    cursor.measurements, cursor.happenings, cursor.track = (
-        len(scene.measurements),
-        len(scene.happenings),
-        len(scene.track),
-    )
-    cursor.scatter, cursor.release = scene.scatter, shown
+    sent.measurements, sent.happenings = len(scene.measurements), len(scene.happenings)
+    sent.track, sent.scatter, sent.release = len(scene.track), scene.scatter, shown
     return framed(header, [array for _, array in arrays])
 
 
@@ -89,12 +86,9 @@ def framed(header: dict[str, Any], arrays: list[Floats]) -> bytes:
     )
 
 
-def _header(scene: Scene, cursor: Cursor) -> dict[str, Any]:
-    last = scene.measurements[-1] if scene.measurements else None
-    measured, happened = (
-        min(cursor.measurements, len(scene.measurements)),
-        min(cursor.happenings, len(scene.happenings)),
-    )
+def _header(scene: Scene, sent: Sent) -> dict[str, Any]:
+    measured = min(sent.measurements, len(scene.measurements))
+    happened = min(sent.happenings, len(scene.happenings))
     return {
         "vehicle": scene.backdrop.vehicle,
         "time_s": scene.time_s,
@@ -103,8 +97,8 @@ def _header(scene: Scene, cursor: Cursor) -> dict[str, Any]:
         "stop": scene.stop,
         "threshold_m": scene.threshold_m,
         "assume": scene.assume,
-        "craft": _craft(scene.craft),
-        "estimate": None if last is None else _estimate(last),
+        "craft": _craft(scene.craft) if scene.craft else None,
+        "estimate": _estimate(scene.measurements[-1]) if scene.measurements else None,
         "waypoint": scene.waypoint,
         "wind": scene.wind,
         "measurements": {"from": measured, "rows": [_row(each) for each in scene.measurements[measured:]]},
@@ -117,9 +111,7 @@ def _header(scene: Scene, cursor: Cursor) -> dict[str, Any]:
     }
 
 
-def _craft(craft: Craft | None) -> dict[str, Any] | None:
-    if craft is None:
-        return None
+def _craft(craft: Craft) -> dict[str, Any]:
     (x, y), it = craft.position, craft.condition
     return {
         "x": x,
@@ -145,7 +137,9 @@ def _row(each: Measurement) -> tuple[float, ...]:
 
 
 def _particles(scatter: Scatter | None) -> Floats:
-    return NOBODY if scatter is None else np.column_stack([scatter.places, scatter.weights])
+    if scatter is None:
+        return np.empty((0, 3), np.float32)
+    return np.column_stack([scatter.places, scatter.weights])
 
 
 @lru_cache(maxsize=8)

@@ -12,12 +12,12 @@ from plume.geodesy import home_from
 
 HEARTBEAT, ORIGIN, HOME, EXTENDED = 0, 49, 242, 245
 """HEARTBEAT, GPS_GLOBAL_ORIGIN, HOME_POSITION and EXTENDED_SYS_STATE."""
-PLACING = {HEARTBEAT, ORIGIN, HOME, EXTENDED}
-"""The messages that tell where the area lies."""
+PLACING = {HEARTBEAT, ORIGIN, HOME, EXTENDED}  # the messages that tell where the area lies
 GROUNDED = {mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_STANDBY}
 """What a HEARTBEAT says of a vehicle that stands, where there is no EXTENDED_SYS_STATE."""
 
-Place = tuple[float, float, float]
+Fix = tuple[float, float, float]  # latitude and longitude, degrees, and altitude above sea, m
+Ned = tuple[float, float, float]  # (north, east, down) m
 
 
 class AreaFrame:
@@ -35,54 +35,51 @@ class AreaFrame:
 
     def forget(self) -> None:
         """Know only which autopilot it is: the vehicle was started again, or is another one."""
-        self.on_ground: bool | None = None
-        """Whether the vehicle says that it stands; None before it says anything."""
+        self.on_ground: bool | None = None  # None before the vehicle says anything
         self._landed, self._status = int(mavlink.MAV_LANDED_STATE_UNDEFINED), -1
-        self._origin: Place | None = None
-        self._home: Place | None = None
-        self._told: Place | None = None
-        self.corner = self._corner()
-        """(north, east, down) m of home in the vehicle's own frame; None while that is not known."""
+        self._origin: Fix | None = None
+        self._home: Fix | None = None  # the corner
+        self._newest_home: Fix | None = None
+
+    @property
+    def corner(self) -> Ned | None:
+        """Home in the vehicle's own frame; None while that is not known."""
+        if self._origin and self._home:
+            return home_from(self._origin, self._home)
+        return None if self._origin or self._autopilot == ARDUPILOT else (0.0, 0.0, 0.0)
 
     def take(self, message_id: int, fields: dict[str, Any]) -> bool:
         """Take one of the `PLACING` messages of the vehicle's autopilot. Returns whether the corner has
         moved.
         """
-        match message_id:
-            case 0:  # HEARTBEAT
-                self._autopilot, self._status = fields["autopilot"], fields["system_status"]
-            case 49:  # GPS_GLOBAL_ORIGIN
-                self._origin = _place(fields)
-            case 242:  # HOME_POSITION
-                home = _place(fields)
-                if self._home is None or (home != self._told and self.on_ground is not False):
-                    self._home = home
-                self._told = home
-            case 245:  # EXTENDED_SYS_STATE
-                self._landed = fields["landed_state"]
+        before = self.corner
+        if message_id == HEARTBEAT:
+            self._autopilot, self._status = fields["autopilot"], fields["system_status"]
+        elif message_id == ORIGIN:
+            self._origin = _fix(fields)
+        elif message_id == HOME:
+            home = _fix(fields)
+            if self._home is None or (home != self._newest_home and self.on_ground is not False):
+                self._home = home
+            self._newest_home = home
+        else:
+            self._landed = fields["landed_state"]
         if self._landed != mavlink.MAV_LANDED_STATE_UNDEFINED:
             self.on_ground = self._landed == mavlink.MAV_LANDED_STATE_ON_GROUND
         elif self._status >= 0:
             self.on_ground = self._status in GROUNDED
-        before, self.corner = self.corner, self._corner()
         return self.corner != before
-
-    def _corner(self) -> Place | None:
-        if self._origin and self._home:
-            return home_from(self._origin, self._home)
-        return None if self._origin or self._autopilot == ARDUPILOT else (0.0, 0.0, 0.0)
 
     def place(self, local: dict[str, Any]) -> tuple[float, float, float] | None:
         """Return (x, y) and height above home, m, of a LOCAL_POSITION_NED; None where it cannot be told,
         or is not finite.
         """
-        if self.corner is None:
+        if (corner := self.corner) is None:
             return None
-        north, east, down = (local[name] - corner for name, corner in zip("xyz", self.corner, strict=True))
+        north, east, down = (local[name] - part for name, part in zip("xyz", corner, strict=True))
         place = east, north, -down
         return place if all(map(math.isfinite, place)) else None
 
 
-def _place(fields: dict[str, Any]) -> Place:
-    """Return latitude and longitude, degrees, and altitude above sea, m."""
+def _fix(fields: dict[str, Any]) -> Fix:
     return fields["latitude"] / 1e7, fields["longitude"] / 1e7, fields["altitude"] / 1e3

@@ -1,14 +1,19 @@
-"""How a part is doing, from its liveliness and its health messages; `plumeward status` and the page judge
-alike.
+"""How parts are doing, from their liveliness and their health messages; `plumeward status` and the page
+judge alike.
 """
 
-import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 from link.bus.messages import Health
+from scene.follow.timed import Timed
+from scene.scene import INFO, WARNING, Service
 
-STALE_S = 5.0
-"""Each part publishes its health every second. After this long without, it hangs or its link is cut."""
+STALE_S = 5.0  # each part says every second how it is; after this long without, it hangs or its link is cut
 OK, MISSING, STARTING, STALE, REFUSING = "ok", "missing", "starting", "stale", "refusing"
+ORDER = {"uav": 0, "estimator": 1, "agent": 2}
+LONGEST = 300  # characters of a name or text that are kept: it may quote a stranger
+MOST_PARTS = 64  # parts that are followed; health messages of more are left out: names are easily forged
 
 
 def verdict(alive: bool, health: Health | None, silent_s: float) -> str:
@@ -24,6 +29,76 @@ def verdict(alive: bool, health: Health | None, silent_s: float) -> str:
     return REFUSING if health.refused_lately else OK
 
 
-def restarted(before: Health | None, now: Health) -> bool:
-    """True if the part was started again between two health messages: its uptime went back."""
-    return now.uptime_s < (before.uptime_s if before else -math.inf)
+class _Sign(NamedTuple):
+    """A sign of life of a part, or of its end."""
+
+    wall_s: float
+    alive: bool
+    health: Health | None
+
+
+class Parts:
+    """The parts on the bus of one vehicle."""
+
+    def __init__(self, whole: bool, happened: Callable[[float, str, str, str], None]) -> None:
+        """Know of none. `whole` keeps all that they say, not only the newest.
+
+        happened: called with (time_s, level, who, text) when there is something that people want to know.
+        """
+        self._whole, self._happened = whole, happened
+        self._signs: dict[str, Timed[_Sign]] = {}
+
+    def restart(self, time_s: float) -> None:
+        """Keep only how they are, as of another time."""
+        for signs in self._signs.values():
+            signs.restart(time_s)
+
+    def lives(self, service: str, alive: bool, time_s: float, wall_s: float) -> None:
+        """Take that a part appeared or is gone."""
+        known, signs = self._known(service)
+        if signs is not None and (known is None or known.alive != alive):
+            signs.add(time_s, _Sign(wall_s, alive, None if alive or known is None else known.health))
+            self._happened(time_s, *((INFO, service, "joined") if alive else (WARNING, service, "is gone")))
+
+    def hears(self, said: Health, time_s: float, wall_s: float) -> bool:
+        """Take a health message; returns whether it is new."""
+        known, signs = self._known(said.service)
+        before = known.health if known else None
+        if signs is None or before == said:
+            return False  # repeated to a late joiner
+        for level, words in _news(before, said):
+            self._happened(time_s, level, said.service, words)
+        signs.add(time_s, _Sign(wall_s, True, said))
+        return True
+
+    def _known(self, service: str) -> tuple[_Sign | None, Timed[_Sign] | None]:
+        """Return the newest sign of a part, and all of them; None if there is no room for its name."""
+        signs = self._signs.get(service)
+        if signs is None and len(service) <= LONGEST and len(self._signs) < MOST_PARTS:
+            signs = self._signs[service] = Timed(self._whole)
+        return (signs.at() if signs else None), signs
+
+    def at(self, time_s: float, wall_s: float) -> Iterator[Service]:
+        """Yield how each part was doing at a simulation time, when the clock said wall_s."""
+        for name in sorted(self._signs, key=lambda name: (ORDER.get(name, len(ORDER)), name)):
+            if (sign := self._signs[name].at(time_s)) is None:
+                continue
+            judged, said = verdict(sign.alive, sign.health, wall_s - sign.wall_s), sign.health
+            if said is None:
+                yield Service(name, judged)
+            else:
+                yield Service(
+                    name, judged, said.state, said.about, said.step, said.latency_s, tuple(said.warnings)
+                )
+
+
+def _news(before: Health | None, said: Health) -> Iterator[tuple[str, str]]:
+    """Yield (level, words) for what a health message says and the one before it did not."""
+    if before and said.uptime_s < before.uptime_s:
+        yield WARNING, "was restarted"
+    told = (*before.warnings, before.last_error) if before else ()
+    for words in dict.fromkeys((*said.warnings, said.last_error)):
+        if words and words not in told:
+            yield WARNING, words
+    if before and said.service == "uav" and said.state != before.state:
+        yield INFO, said.state

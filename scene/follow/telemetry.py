@@ -8,26 +8,15 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.frames import Frame, fields_of
-from link.bus.mavlink import Texts, split
+from link.bus.mavlink import split
 from link.modes import mode_name
 from scene.follow.area import PLACING, AreaFrame
-from scene.scene import ERROR, INFO, WARNING, Condition, Craft, Place
+from scene.scene import ERROR, INFO, WARNING, Condition, Craft, Point
 
 ATTITUDE, LOCAL, GLOBAL, TEXT, SETPOINT = 30, 32, 33, 253, 84
 SYS_STATUS, GPS_RAW, WIND, EKF_STATUS, ESTIMATOR_STATUS, WIND_COV = 1, 24, 168, 193, 230, 231
-SHOWN = {
-    *PLACING,
-    ATTITUDE,
-    LOCAL,
-    GLOBAL,
-    TEXT,
-    SYS_STATUS,
-    GPS_RAW,
-    WIND,
-    EKF_STATUS,
-    ESTIMATOR_STATUS,
-    WIND_COV,
-}
+CONDITION = {SYS_STATUS, GPS_RAW, WIND, EKF_STATUS, ESTIMATOR_STATUS, WIND_COV}
+SHOWN = PLACING | CONDITION | {ATTITUDE, LOCAL, GLOBAL, TEXT}
 UNKNOWN_MV, UNKNOWN_SATELLITES = 0xFFFF, 0xFF
 FIXES = (
     "no GPS",
@@ -56,68 +45,41 @@ def frames(
 
 def seen(craft: Craft, message_id: int, fields: dict[str, Any], time_s: float, area: AreaFrame) -> Craft:
     """Return the vehicle after one of its messages; a position or heading that is not finite is not taken."""
+    it = craft
     match message_id:
         case 0:  # HEARTBEAT
             armed = bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-            return replace(craft, mode=mode_name(fields["autopilot"], fields["custom_mode"]), armed=armed)
+            return replace(it, mode=mode_name(fields["autopilot"], fields["custom_mode"]), armed=armed)
+        # Not `replace`, which takes ten times as long: the next two are nearly all of the telemetry.
         case 30 if math.isfinite(fields["yaw"]):  # ATTITUDE: yaw is clockwise from north
-            heading = math.remainder(math.pi / 2 - fields["yaw"], 2 * math.pi)
-            # Not `replace`, which takes ten times as long: these two are nearly all of the telemetry.
-            return Craft(
-                time_s,
-                craft.position,
-                craft.altitude_m,
-                heading,
-                craft.mode,
-                craft.armed,
-                craft.fix,
-                craft.condition,
-            )
+            yaw = math.remainder(math.pi / 2 - fields["yaw"], 2 * math.pi)
+            return Craft(time_s, it.position, it.altitude_m, yaw, it.mode, it.armed, it.fix, it.condition)
         case 32 if place := area.place(fields):  # LOCAL_POSITION_NED
-            return Craft(
-                time_s,
-                place[:2],
-                place[2],
-                craft.heading,
-                craft.mode,
-                craft.armed,
-                craft.fix,
-                craft.condition,
-            )
+            return Craft(time_s, place[:2], place[2], it.heading, it.mode, it.armed, it.fix, it.condition)
         case 33:  # GLOBAL_POSITION_INT; (0, 0) is sent without a position
             fix = fields["lat"] / 1e7, fields["lon"] / 1e7, fields["alt"] / 1e3
-            return replace(craft, fix=fix if any(fix[:2]) else None)
-    condition = _condition(craft.condition, message_id, fields)
-    return craft if condition == craft.condition else replace(craft, condition=condition)
+            return replace(it, fix=fix if any(fix[:2]) else None)
+    condition = _condition(it.condition, message_id, fields)
+    return craft if condition == it.condition else replace(craft, condition=condition)
 
 
 def _condition(known: Condition, message_id: int, fields: dict[str, Any]) -> Condition:
     """Return the vehicle's condition after one of its messages."""
     match message_id:
-        case 1:  # SYS_STATUS
+        case 1:  # SYS_STATUS; ArduPilot sends 0 V without a monitor
             percent, millivolts = fields["battery_remaining"], fields["voltage_battery"]
-            return replace(
-                known,
-                battery=percent / 100 if 0 <= percent <= 100 else None,
-                volts=millivolts / 1e3
-                if millivolts not in (0, UNKNOWN_MV)
-                else None,  # ArduPilot sends 0 without a monitor
-                ailing=_ailing(fields),
-            )
+            battery = percent / 100 if 0 <= percent <= 100 else None
+            volts = None if millivolts in (0, UNKNOWN_MV) else millivolts / 1e3
+            return replace(known, battery=battery, volts=volts, ailing=_ailing(fields))
         case 24:  # GPS_RAW_INT
             kind, satellites = fields["fix_type"], fields["satellites_visible"]
             words = FIXES[kind] if kind < len(FIXES) else f"fix type {kind}"
-            return replace(
-                known, gps=words if satellites == UNKNOWN_SATELLITES else f"{words}, {satellites} satellites"
-            )
-        case 168:  # WIND, ArduPilot's: from where it comes, degrees clockwise from north
-            angle = math.radians(fields["direction"]) if math.isfinite(fields["direction"]) else math.nan
-            return replace(
-                known, wind=_wind(fields["speed"] * math.sin(angle), fields["speed"] * math.cos(angle))
-            )
-        case (
-            193 | 230
-        ):  # EKF_STATUS_REPORT, ArduPilot's, and ESTIMATOR_STATUS, whose first flags mean the same
+            counted = "" if satellites == UNKNOWN_SATELLITES else f", {satellites} satellites"
+            return replace(known, gps=words + counted)
+        case 168:  # WIND, ArduPilot's: whence, degrees clockwise from north; infinity % 360 is NaN
+            speed, angle = fields["speed"], math.radians(fields["direction"] % 360)
+            return replace(known, wind=_wind(speed * math.sin(angle), speed * math.cos(angle)))
+        case 193 | 230:  # ArduPilot's EKF_STATUS_REPORT and ESTIMATOR_STATUS, whose first flags mean the same
             return replace(known, placed=bool(fields["flags"] & mavlink.ESTIMATOR_POS_HORIZ_ABS))
         case 231:  # WIND_COV: where the air goes
             return replace(known, wind=_wind(-fields["wind_y"], -fields["wind_x"]))
@@ -137,12 +99,12 @@ def _ailing(fields: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _wind(x: float, y: float) -> Place | None:
+def _wind(x: float, y: float) -> tuple[float, float] | None:
     """Return a wind; one of exactly zero is one that the autopilot has not estimated."""
     return (x, y) if math.isfinite(x) and math.isfinite(y) and (x or y) else None
 
 
-def waypoint(fields: dict[str, Any]) -> Place | None:
+def waypoint(fields: dict[str, Any]) -> Point | None:
     """Return where a SET_POSITION_TARGET_LOCAL_NED leads; None if it has no position from home."""
     ignored = mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE
     place = fields["y"], fields["x"]
@@ -150,17 +112,8 @@ def waypoint(fields: dict[str, Any]) -> Place | None:
     return place if home and all(map(math.isfinite, place)) else None
 
 
-def said(texts: Texts, fields: dict[str, Any]) -> tuple[str, str] | None:
-    """Take a STATUSTEXT; returns (level, text) once the text is whole."""
-    text = texts.joined(fields["text"], fields["id"], fields["chunk_seq"])
-    if text is None:
-        return None
-    severity = fields["severity"]
-    level = (
-        ERROR
-        if severity <= mavlink.MAV_SEVERITY_ERROR
-        else WARNING
-        if severity == mavlink.MAV_SEVERITY_WARNING
-        else INFO
-    )
-    return level, text
+def level_of(severity: int) -> str:
+    """Return the level of a STATUSTEXT's severity (MAV_SEVERITY)."""
+    if severity > mavlink.MAV_SEVERITY_WARNING:
+        return INFO
+    return WARNING if severity == mavlink.MAV_SEVERITY_WARNING else ERROR

@@ -7,12 +7,9 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from scene.scene import Floats, Place
+from scene.scene import Floats, Point
 
-MOST = 100_000
-"""Most readings, points of the track and happenings that are kept where not all is; then the older half
-goes.
-"""
+MOST = 100_000  # where not all is kept: most readings, points and happenings; then the older half goes
 
 T = TypeVar("T")
 
@@ -28,8 +25,7 @@ class Timed(Generic[T]):
 
     def add(self, time_s: float, value: T) -> None:
         """Add the newest."""
-        time_s = max(time_s, self.times_s[-1]) if self.times_s else time_s
-        self.times_s.append(time_s)
+        self.times_s.append(max([time_s, *self.times_s[-1:]]))
         self.values.append(value)
         if len(self.values) > self._most:
             old = len(self.values) - (self._most + 1) // 2
@@ -40,17 +36,13 @@ class Timed(Generic[T]):
         self.values = self.values[-1:]
         self.times_s = [time_s] * len(self.values)
 
-    def count(self, time_s: float) -> int:
-        """Number of values until a time, it included."""
-        return len(self.values) if time_s == math.inf else bisect_right(self.times_s, time_s)
-
     def until(self, time_s: float) -> list[T]:
-        """All values until a time."""
-        return self.values[: self.count(time_s)]
+        """All values until a time, it included."""
+        return self.values[: bisect_right(self.times_s, time_s)]
 
-    def at(self, time_s: float) -> T | None:
-        """The newest value at a time."""
-        count = self.count(time_s)
+    def at(self, time_s: float = math.inf) -> T | None:
+        """The newest value, by default of all."""
+        count = bisect_right(self.times_s, time_s)
         return self.values[count - 1] if count else None
 
 
@@ -61,12 +53,12 @@ class Trail:
 
     def __init__(self, whole: bool) -> None:
         """Keep all places, or the newest: `MOST`, and at least half of it."""
-        self.last: Place | None = None
+        self.last: Point | None = None
         self._times_s: list[float] = []
         self._places: Floats = np.empty((64, 2), np.float32)
         self._most = sys.maxsize if whole else MOST
 
-    def add(self, time_s: float, place: Place) -> None:
+    def add(self, time_s: float, place: Point) -> None:
         """Add the newest."""
         count = len(self._times_s)
         if count >= min(len(self._places), self._most):
@@ -74,7 +66,7 @@ class Trail:
             del self._times_s[: count - len(kept)]
             count = len(kept)
             self._places = np.concatenate([kept, np.empty_like(kept)])  # scenes have the former ones
-        self._times_s.append(max(time_s, self._times_s[-1]) if self._times_s else time_s)
+        self._times_s.append(max([time_s, *self._times_s[-1:]]))
         self._places[count] = self.last = place
 
     def until(self, time_s: float) -> Floats:

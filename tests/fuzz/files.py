@@ -27,7 +27,7 @@ from agent.trials.figures import MissionRow
 from ground.tlog.flight import FlightError
 from ground.tlog.flight import read as read_flight
 from ground.tlog.frames import STAMP
-from ground.view.wire import Cursor, packed
+from ground.view.wire import Sent, packed
 from link.record.reader import RecordError
 from link.record.reader import read as read_record
 from scene.follow.recorded import history_of
@@ -59,7 +59,7 @@ def _is_one_line(error: Exception, begin: str = "") -> None:
 
 def shows(scene: Scene) -> None:
     """A scene can be sent to the page."""
-    packed(scene, Cursor(), 1, 1, truth=True)
+    packed(scene, Sent(), 1, 1, truth=True)
 
 
 # ---- records ----

@@ -16,10 +16,11 @@ import msgspec
 
 from ground.desk.scenes import RecordedScene
 from ground.desk.status import Board
+from ground.view.access import AccessRules
 from ground.view.foxglove import request_of
-from ground.view.guard import AccessRules, Asgi
 from ground.view.records import RecordedVehicle
 from ground.view.server import PageServer, message_of
+from ground.view.serving import Asgi
 from link.bus.messages import Health
 from link.record.reader import read
 from link.record.record import Entry, SimulationClock

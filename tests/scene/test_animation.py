@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scene.animation import Frame, write_gif, write_mp4
+from scene.animation import Picture, write_gif, write_mp4
 
 
-def frames(count: int) -> Iterator[Frame]:
+def frames(count: int) -> Iterator[Picture]:
     """A square that moves to the right."""
     for i in range(count):
         frame = np.full((40, 60, 3), 255, np.uint8)

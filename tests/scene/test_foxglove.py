@@ -12,7 +12,7 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
 from scene.foxglove import LONGEST_PATH, Encoded, SceneEncoder, schema_of
-from scene.scene import STOP, WARNING, Backdrop, Craft, Happening, Measurement, Release, Scatter, Scene
+from scene.scene import STOPPED, WARNING, Backdrop, Craft, Happening, Measurement, Release, Scatter, Scene
 
 STAMP_NS = 1_763_800_000_123_456_789
 METRE_DEG = 180.0 / (math.pi * 6_371_000.0)
@@ -35,7 +35,7 @@ SCENE = Scene(
     waypoint=(4.0, 4.0),
     happenings=(
         Happening(9.0, WARNING, "estimator", "odd readings"),
-        Happening(10.0, STOP, "estimator", "source found"),
+        Happening(10.0, STOPPED, "estimator", "source found"),
     ),
 )
 ALL = {

@@ -69,7 +69,7 @@ def command():
 """,
     "bus": """
 from sitl.__main__ import main
-from ground.view.roster import Roster
+from ground.view.live import Roster
 
 def changes(_):
     raise RuntimeError("a fault")

@@ -8,12 +8,15 @@ import json
 import re
 import signal
 import socket
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
+from websockets import Subprotocol
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
 
 from link.bus.keys import BELIEF
 from link.bus.messages import Belief, pack_particles
@@ -316,6 +319,25 @@ def test_a_port_that_is_taken_is_named_in_one_line(start: type[Part], replay: in
     part = start("sitl", "view", "--port", str(replay))
     assert part.ended() == 2
     assert part.err == [f"error: --port: cannot serve on 127.0.0.1 port {replay}: Address already in use\n"]
+
+
+def test_foxglove_is_served_on_a_port_of_this_machine_alone_and_one_that_is_taken_is_named(
+    start: type[Part], router: str, wait_until: Callable[..., None]
+) -> None:
+    part = start("sitl", "view", "--port", "0", "--connect", router, "--foxglove", "0")
+    wait_until(lambda: len(part.out) == 2)
+    address = part.out[1].removeprefix("Foxglove at ").strip()
+    with connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")]) as viewer:
+        assert json.loads(viewer.recv(60))["name"] == "plumeward"
+    port = int(address.rpartition(":")[2])
+    if sys.platform == "linux":
+        rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()]
+        bound = [row[1] for row in rows if row[3] == "0A" and row[1].endswith(f":{port:04X}")]
+        assert bound == [f"0100007F:{port:04X}"]
+    other = start("sitl", "view", "--port", "0", "--connect", router, "--foxglove", str(port))
+    assert other.ended() == 2
+    taken = f"cannot serve on 127.0.0.1 port {port}: Address already in use"
+    assert other.err == [f"error: --foxglove: {taken}\n"]
 
 
 def test_an_empty_address_is_refused_in_one_line(start: type[Part]) -> None:

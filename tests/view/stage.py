@@ -9,10 +9,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import uvicorn
 
-from ground.view.guard import AccessRules
-from ground.view.server import Fleet, PageServer
+from ground.view.access import AccessRules
+from ground.view.server import LONGEST_MESSAGE, Fleet, PageServer
+from ground.view.serving import server_of
 from scene.scene import Backdrop, Craft, Floats, Happening, Measurement, Release, Scatter, Scene, Service
 
 RELEASE = Release(source=(24.0, 6.0), wind=(-3.0, -4.0), q=10.0, d=1.0, tau=10.0)
@@ -120,16 +120,7 @@ class Served:
         self._listening = socket.create_server((self._host, self.port))
         self.port = self._listening.getsockname()[1]
         self._server = PageServer(self._shown, AccessRules(self._host, self.port, self._token))
-        config = uvicorn.Config(
-            self._server.app(),
-            http="h11",
-            ws="websockets-sansio",
-            interface="asgi3",
-            lifespan="off",
-            log_config=None,
-            access_log=False,
-        )
-        self._uvicorn = uvicorn.Server(config)
+        self._uvicorn = server_of(self._server.app(), LONGEST_MESSAGE, proxied=False)
         ready = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(ready)))
         self._thread.start()

@@ -5,7 +5,6 @@ web page of a stranger.
 import asyncio
 import json
 import socket
-import sys
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager, nullcontext
@@ -14,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import uvicorn
 import websockets
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 
-from ground.view.foxglove import LiveFoxglove, NoFoxglove
+from ground.view.foxglove import HOST, LONGEST_REQUEST, LiveFoxglove
+from ground.view.serving import server_of
 from scene.foxglove import SceneEncoder, schema_of
 from scene.scene import Backdrop, Craft, Measurement, Scatter, Scene
 
@@ -40,23 +39,15 @@ HANDSHAKE = (
 @asynccontextmanager
 async def streaming(*origins: str) -> AsyncIterator[LiveFoxglove]:
     """Serve it."""
-    live = LiveFoxglove(0, origins)
-    config = uvicorn.Config(
-        live.app(),
-        http="h11",
-        ws="websockets-sansio",
-        lifespan="off",
-        log_config=None,
-        access_log=False,
-        ws_per_message_deflate=False,
-    )
-    server = uvicorn.Server(config)
-    serving = asyncio.create_task(server.serve(sockets=[live.listening]))
-    try:
-        yield live
-    finally:
-        server.should_exit = server.force_exit = True
-        await serving
+    with socket.create_server((HOST, 0)) as listening:
+        live = LiveFoxglove(listening.getsockname()[1], origins)
+        server = server_of(live.app(), LONGEST_REQUEST, proxied=False)
+        serving = asyncio.create_task(server.serve(sockets=[listening]))
+        try:
+            yield live
+        finally:
+            server.should_exit = server.force_exit = True
+            await serving
 
 
 class Viewer:
@@ -311,7 +302,7 @@ def test_one_viewer_more_than_fit_is_refused_until_one_goes() -> None:
 def test_a_viewer_that_reads_nothing_is_left_and_keeps_nobody_waiting(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("ground.view.foxglove.SEND_S", 0.2)
+    monkeypatch.setattr("ground.view.serving.SEND_S", 0.2)
     monkeypatch.setattr("ground.view.foxglove.MOST_VIEWERS", 2)
     many = np.zeros((100_000, 2), np.float32)
 
@@ -380,32 +371,6 @@ def test_it_says_what_foxglove_sdk_says() -> None:
     finally:
         server.stop()
     assert run(ours) == theirs
-
-
-# ---- where it listens ----
-
-
-def test_a_port_that_is_taken_is_named_in_one_line() -> None:
-    async def again(live: LiveFoxglove) -> None:
-        port = int(live.address.rpartition(":")[2])
-        with pytest.raises(
-            NoFoxglove,
-            match=f"^--foxglove: port {port} of 127.0.0.1 cannot be opened: Address already in use$",
-        ):
-            LiveFoxglove(port)
-
-    run(again)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_no_other_address_is_bound() -> None:
-    async def bound(live: LiveFoxglove) -> tuple[str, list[str]]:
-        with open("/proc/net/tcp") as table:
-            return live.address, [line.split()[1] for line in table if line.split()[3] == "0A"]
-
-    address, local = run(bound)
-    port = int(address.rpartition(":")[2])
-    assert [each for each in local if each.endswith(f":{port:04X}")] == [f"0100007F:{port:04X}"]
 
 
 def test_a_reading_without_a_value_leaves_the_gas_out() -> None:

@@ -30,7 +30,7 @@ def folder(tmp_path: Path) -> Path:
 def following(router: str, folder: Path | None = None) -> Iterator[tuple[LiveFleet, list[str]]]:
     """A fleet that is followed, and the lines that it has said."""
     lines: list[str] = []
-    fleet = LiveFleet(router, None, lambda: None, lines.append, folder)
+    fleet = LiveFleet(router, {}, lambda: None, lines.append, folder)
     try:
         yield fleet, lines
     finally:

@@ -14,8 +14,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.mode import Mode
 from aircraft.operator import OPERATOR
+from ground.view.access import AccessRules
 from ground.view.control import CommandAnswer, operate
-from ground.view.guard import AccessRules
 from ground.view.live import LiveVehicle
 from ground.view.server import Client, PageServer
 from link.bus.mavlink import Codec
@@ -224,7 +224,7 @@ def test_a_scene_is_built_once_for_all_pages_and_not_in_the_loop_that_serves_the
 
     async def watch() -> None:
         sockets = [Socket() for _ in range(5)]
-        vehicle = LiveVehicle("uav/1", router, None)
+        vehicle = LiveVehicle("uav/1", router, {})
         shown = SimpleNamespace(vehicles={"uav/1": vehicle}, list_version=0, notice="", entries=lambda: [])
         server = PageServer(shown, AccessRules("127.0.0.1", 8447))
         tasks = [asyncio.create_task(Client(socket, server, shown, "").run()) for socket in sockets]  # type: ignore[arg-type]

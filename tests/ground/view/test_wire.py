@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground.view.wire import Cursor, framed, packed
+from ground.view.wire import Sent, framed, packed
 from scene.scene import INFO, Backdrop, Condition, Craft, Happening, Measurement, Release, Scatter, Scene
 
 RELEASE = Release((20.0, 12.0), (1.0, 0.0), q=300.0, d=4.0, tau=10.0)
@@ -51,7 +51,7 @@ def unpacked(message: bytes) -> tuple[dict[str, Any], dict[str, list[float]]]:
 
 
 def sent(
-    scene: Scene, cursor: Cursor, history: object = HISTORY, **how: Any
+    scene: Scene, cursor: Sent, history: object = HISTORY, **how: Any
 ) -> tuple[dict[str, Any], dict[str, list[float]]]:
     return unpacked(packed(scene, cursor, history, 7, **how))
 
@@ -62,7 +62,7 @@ def test_a_message_is_a_length_a_padded_header_and_float32() -> None:
 
 
 def test_a_scene_is_sent_in_full_at_first() -> None:
-    header, arrays = sent(SCENE, Cursor(), published_ms=1763800000000.5)
+    header, arrays = sent(SCENE, Sent(), published_ms=1763800000000.5)
     assert header["number"] == 7
     assert header["vehicle"] == "uav/1"
     assert header["published_ms"] == 1763800000000.5
@@ -88,7 +88,7 @@ def test_a_scene_is_sent_in_full_at_first() -> None:
 
 
 def test_only_what_is_new_follows() -> None:
-    cursor = Cursor()
+    cursor = Sent()
     sent(SCENE, cursor)
     later = replace(
         SCENE,
@@ -104,7 +104,7 @@ def test_only_what_is_new_follows() -> None:
 
 
 def test_going_back_in_time_cuts_off_what_comes_later() -> None:
-    cursor = Cursor()
+    cursor = Sent()
     sent(SCENE, cursor)
     header, arrays = sent(
         replace(SCENE, measurements=[measurement(0)], track=SCENE.track[:1], scatter=None, happenings=[]),
@@ -120,7 +120,7 @@ def test_going_back_in_time_cuts_off_what_comes_later() -> None:
 
 
 def test_another_mission_is_sent_from_its_beginning() -> None:
-    cursor = Cursor()
+    cursor = Sent()
     sent(SCENE, cursor)
     header, arrays = sent(SCENE, cursor, ANOTHER)
     assert header["measurements"]["from"] == header["happenings"]["from"] == 0
@@ -129,7 +129,7 @@ def test_another_mission_is_sent_from_its_beginning() -> None:
 
 
 def test_the_truth_is_sent_once_and_only_when_asked_for() -> None:
-    cursor = Cursor()
+    cursor = Sent()
     assert "plume" not in sent(SCENE, cursor)[1]
     header, arrays = sent(SCENE, cursor, truth=True)
     assert header["truth"] == {"source": [20.0, 12.0]}
@@ -145,7 +145,7 @@ def test_the_truth_is_sent_once_and_only_when_asked_for() -> None:
 
 def test_a_real_flight_has_no_truth_to_send() -> None:
     real = replace(SCENE, backdrop=replace(SCENE.backdrop, release=None))
-    header, arrays = sent(real, Cursor(), truth=True)
+    header, arrays = sent(real, Sent(), truth=True)
     assert header["truth"] is None
     assert "plume" not in arrays
 
@@ -155,19 +155,19 @@ def test_numbers_that_are_not_finite_are_null(heading: float) -> None:
     scene = replace(
         SCENE, craft=Craft(1.0, (1.0, 2.0), heading=heading), measurements=[measurement(0, math.nan)]
     )
-    header, _ = sent(scene, Cursor())
+    header, _ = sent(scene, Sent())
     assert header["craft"]["heading"] is None
     assert header["measurements"]["rows"][0][4] is None
 
 
 def test_a_vehicle_that_has_not_said_where_it_is_has_no_place_yet_but_a_mode() -> None:
-    craft = sent(replace(SCENE, craft=Craft(0.0, (math.nan, math.nan), mode="HOLD")), Cursor())[0]["craft"]
+    craft = sent(replace(SCENE, craft=Craft(0.0, (math.nan, math.nan), mode="HOLD")), Sent())[0]["craft"]
     assert (craft["x"], craft["y"], craft["mode"]) == (None, None, "HOLD")
 
 
 def test_what_the_vehicle_says_of_itself_is_sent() -> None:
     condition = Condition(battery=0.5, volts=15.1, gps="no fix", ailing=("gps",), placed=False)
-    craft = sent(replace(SCENE, craft=Craft(0.0, (1.0, 2.0), condition=condition)), Cursor())[0]["craft"]
+    craft = sent(replace(SCENE, craft=Craft(0.0, (1.0, 2.0), condition=condition)), Sent())[0]["craft"]
     assert {name: craft[name] for name in UNSAID} == {
         "battery": 0.5,
         "volts": 15.1,

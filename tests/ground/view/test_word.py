@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ground.view.guard import AccessRules
-from ground.view.word import Doorkeeper, word_in, word_of
+from ground.view.access import AccessRules, Doorkeeper, word_in, word_of
 
 RULES = AccessRules("0.0.0.0", 8447, "the secret")
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from ground.view.roster import Roster
+from ground.view.live import Roster
 from link.access.authority import make
 from link.access.crowds import MOST_FOR_ALL, MOST_OF_A_PART, Crowds
 from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, READING, STOP, Key
@@ -342,7 +342,7 @@ def test_a_recorder_hears_every_key_and_a_roster_every_vehicle(
 ) -> None:
     with (
         Tap("recorder", secure, secure=folder) as recorder,
-        Roster("view", secure, 1.0, folder) as roster,
+        Roster(secure, folder) as roster,
         Bus("uav", secure, secure=folder) as uav,
         Bus("agent", secure, "uav/2", secure=folder),
     ):

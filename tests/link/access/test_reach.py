@@ -5,7 +5,7 @@ page all go by it.
 import pytest
 
 from aircraft.bridge.address import parse_address
-from ground.view.guard import AccessRules
+from ground.view.access import AccessRules
 from link.access.reach import endpoint_is_open, is_open
 
 OPEN = {

@@ -6,8 +6,8 @@ import pytest
 
 from link.bus.keys import BELIEF, READING
 from link.bus.mavlink import Codec, Reading, pack_reading
-from scene.follow.history import History, WindTurn
-from scene.follow.recorded import turns_of
+from scene.follow.described import WindTurn, turns_of
+from scene.follow.history import History
 from scene.scene import Backdrop, Release
 
 RELEASE = Release((20.0, 12.0), (2.0, 0.0), q=300.0, d=4.0, tau=10.0)

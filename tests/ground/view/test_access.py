@@ -2,7 +2,7 @@
 
 import pytest
 
-from ground.view.guard import AccessRules, origin
+from ground.view.access import AccessRules, origin
 
 LOCAL = AccessRules("127.0.0.1", 8447)
 EVERYWHERE = AccessRules("0.0.0.0", 8447)

@@ -1,0 +1,62 @@
+"""What a run's own description tells beforehand: its truth, its budget, and how its wind turns."""
+
+import math
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import msgspec
+
+from plume.scenario import Scenario
+from scene.scene import Backdrop, Release
+
+
+class WindTurn(NamedTuple):
+    """A change of the true wind, and of the whole plume with it, by a mission script."""
+
+    step: int | None  # the reading from which on it counts; None if it is the time that counts
+    time_s: float
+    u: float | None  # its new speed, m/s; None: as before
+    phi: float | None  # the direction it comes from now, rad; None: as before
+
+    def counts(self, step: int, time_s: float) -> bool:
+        """Whether it has come, after the belief of a step at a time."""
+        return time_s >= self.time_s if self.step is None else step >= self.step
+
+    def turned(self, release: Release) -> Release:
+        """Return a release in the wind after the turn."""
+        u = math.hypot(*release.wind) if self.u is None else self.u
+        phi = math.atan2(release.wind[1], release.wind[0]) if self.phi is None else self.phi
+        return replace(release, wind=(u * math.cos(phi), u * math.sin(phi)))
+
+
+def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int | None]:
+    """Return the backdrop and the budget, from a run's own description; what it does not tell, or not in
+    this version, is left out.
+    """
+    release = None
+    with suppress(KeyError, msgspec.ValidationError):
+        release = Release.of(msgspec.convert(about["scenario"], Scenario))
+    policy, budget = about.get("policy"), about.get("budget")
+    title = f"{policy}, seed {about.get('seed')}" if policy is not None else ""
+    name = vehicle or str(about.get("namespace", "vehicle"))
+    return Backdrop(name, title=title, release=release), budget if isinstance(budget, int) else None
+
+
+def turns_of(about: dict[str, Any]) -> list[WindTurn] | None:
+    """Return the changes of the wind that a run's mission script has; one that is not as scripts have it
+    is left out.
+
+    None if the plume blew with the wind that a real vehicle reported.
+    """
+    if "vehicle" in about:
+        return None
+    mission = about.get("mission")
+    turns = []
+    for event in (mission.get("events") if isinstance(mission, dict) else None) or ():
+        if isinstance(event, dict) and event.get("do") == "wind":
+            said = event.get("step"), event.get("time_s") or 0.0, event.get("u"), event.get("phi")
+            if all(math.isfinite(value) for value in said if isinstance(value, float)):
+                with suppress(msgspec.ValidationError):
+                    turns.append(msgspec.convert(said, WindTurn))
+    return turns
