@@ -68,7 +68,7 @@ def test_a_folder_behind_a_link_or_open_to_everybody_is_made_with_a_warning(
         _, lines, err = made(capsys, str(tmp_path / "there" / "certs"))
         assert err.splitlines() == (
             [
-                f"warning: DIR: {place} may be written by everybody, who can so replace certificates and "
+                f"warning: DIR: {place} may be written by everybody: others can replace certificates and "
                 "keys "
                 f"(forbid it with: chmod o-w {place})"
             ]
