@@ -1,6 +1,4 @@
-"""The bridge's link to the bus: frames of `mavlink/out` and `mavlink/in` come in, and go out from a thread
-of their own.
-"""
+"""The bridge's link to the bus: frames come in, and go out from a thread of their own."""
 
 import queue
 import threading

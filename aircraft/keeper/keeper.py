@@ -1,6 +1,6 @@
-"""The keeper: a small process that owns the link to an autopilot, and sends the vehicle home if the uav
-falls silent in flight.
+"""The keeper: a small process that owns the link to an autopilot.
 
+It sends the vehicle home if the uav falls silent in flight.
 It hands frames on, both ways, and knows from them whose flight it is. It goes on when the uav hangs, is
 stopped or is killed, and ends when the uav has ended and nobody needs it: the vehicle stands, comes down,
 or is a pilot's.
@@ -57,8 +57,9 @@ WARNING, CRITICAL, INFO = (
 
 
 class Keeper:
-    """Judges by the frames of both sides, and acts. It has no clock and no link: times are the caller's, s
-    of real time.
+    """Judges by the frames of both sides, and acts.
+
+    It has no clock and no link: times are the caller's, s of real time.
     """
 
     def __init__(
@@ -91,8 +92,9 @@ class Keeper:
     # ---- the uav's side ----
 
     def passes(self, frame: Frame, now_s: float) -> bool:
-        """Take a frame of the uav; returns whether it is to be handed on: what it hands on of others,
-        which has other ids, always.
+        """Take a frame of the uav.
+
+        Returns whether it is to be handed on: what it hands on of others, which has other ids, always.
         """
         if frame.component != COMPANION:
             return True
@@ -123,8 +125,9 @@ class Keeper:
     # ---- the autopilot's side ----
 
     def hear(self, frame: Frame, now_s: float) -> bool:
-        """Take a frame of the autopilot's link; returns whether it is the vehicle's HEARTBEAT. Raises
-        MAVError if it is malformed.
+        """Take a frame of the autopilot's link.
+
+        Returns whether it is the vehicle's HEARTBEAT. Raises MAVError if it is malformed.
         """
         if (frame.system, frame.component) != (self.system, AUTOPILOT):
             return False
@@ -293,8 +296,9 @@ class Switch(Hub):
 
 
 def main() -> None:
-    """Keep the vehicle at a URL for the uav on stdin; the line on stdout is empty if the URL can be used,
-    else it says why not.
+    """Keep the vehicle at a URL for the uav on stdin.
+
+    The line on stdout is empty if the URL can be used, else it says why not.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends when the uav has ended and the vehicle is cared for
