@@ -1,6 +1,4 @@
-"""What differs between ArduCopter and PX4 for a companion computer: modes by number, streams, take-off
-altitudes, when it can fly.
-"""
+"""What differs between ArduCopter and PX4 for a companion computer: modes by number, and streams."""
 
 from typing import NamedTuple
 
@@ -108,8 +106,9 @@ def unfit(heartbeat: mavlink.MAVLink_heartbeat_message) -> str:
 
 
 def stands(landed: int, status: int) -> bool:
-    """Return whether a vehicle is on the ground: by its MAV_LANDED_STATE, or if it does not tell that, by its
-    MAV_STATE.
+    """Return whether a vehicle is on the ground.
+
+    landed: its MAV_LANDED_STATE, which counts if it is told; status: its MAV_STATE.
     """
     if landed != mavlink.MAV_LANDED_STATE_UNDEFINED:
         return bool(landed == mavlink.MAV_LANDED_STATE_ON_GROUND)

@@ -1,6 +1,4 @@
-"""Links over a stream of bytes: a bounded queue in front of what can be written to, and an endpoint that
-opens its link again when it is lost.
-"""
+"""Links over a stream of bytes, each with a bounded queue, and endpoints that open a lost link again."""
 
 import contextlib
 import math
@@ -19,8 +17,9 @@ BACK_OFF_FIRST_S, BACK_OFF_LAST_S = 0.25, 4.0
 
 
 class Pipe:
-    """An open file or socket, with a bounded queue of frames: if too many bytes wait, the oldest frames are
-    dropped.
+    """An open file or socket, with a bounded queue of frames.
+
+    If too many bytes wait, the oldest frames are dropped.
     """
 
     def __init__(

@@ -30,10 +30,9 @@ class SerialLine(Reopened):
 
 
 def open_device(address: Address) -> int:
-    """Open the device of a serial address: 8 data bits, no parity, one stop bit, no flow control, no
-    characters that the system changes or acts on.
+    """Open the device of a serial address; returns its descriptor, which does not block. Raises OSError.
 
-    Returns its descriptor, which does not block. Raises OSError.
+    8 data bits, no parity, one stop bit, no flow control, no characters that the system changes or acts on.
     """
     speed = BAUDS[address.port]
     descriptor = os.open(address.host, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)

@@ -1,6 +1,6 @@
-"""The keeper: a small process that owns the link to an autopilot, and sends the vehicle home if the uav
-falls silent in flight.
+"""The keeper: a small process that owns the link to an autopilot.
 
+It sends the vehicle home if the uav falls silent in flight.
 It hands frames on, both ways, and knows from them whose flight it is. It goes on when the uav hangs, is
 stopped or is killed, and ends when the uav has ended and nobody needs it: the vehicle stands, comes down,
 or is a pilot's.
@@ -57,8 +57,9 @@ WARNING, CRITICAL, INFO = (
 
 
 class Keeper:
-    """Judges by the frames of both sides, and acts. It has no clock and no link: times are the caller's, s
-    of real time.
+    """Judges by the frames of both sides, and acts.
+
+    It has no clock and no link: times are the caller's, s of real time.
     """
 
     def __init__(
@@ -91,8 +92,9 @@ class Keeper:
     # ---- the uav's side ----
 
     def passes(self, frame: Frame, now_s: float) -> bool:
-        """Take a frame of the uav; returns whether it is to be handed on: what it hands on of others,
-        which has other ids, always.
+        """Take a frame of the uav.
+
+        Returns whether it is to be handed on: what it hands on of others, which has other ids, always.
         """
         if frame.component != COMPANION:
             return True
@@ -123,8 +125,9 @@ class Keeper:
     # ---- the autopilot's side ----
 
     def hear(self, frame: Frame, now_s: float) -> bool:
-        """Take a frame of the autopilot's link; returns whether it is the vehicle's HEARTBEAT. Raises
-        MAVError if it is malformed.
+        """Take a frame of the autopilot's link.
+
+        Returns whether it is the vehicle's HEARTBEAT. Raises MAVError if it is malformed.
         """
         if (frame.system, frame.component) != (self.system, AUTOPILOT):
             return False
@@ -139,13 +142,9 @@ class Keeper:
         if number == mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
             self._landed = self._message(frame).landed_state
         elif number == mavlink.MAVLINK_MSG_ID_COMMAND_ACK and self._is_in_charge and self.acted:
-            message = self._message(frame)
-            done = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
-            if (
-                message.command == mavlink.MAV_CMD_DO_SET_MODE
-                and not done
-                and self._asked != {self._firmware.modes[Mode.LAND]}
-            ):
+            message, land = self._message(frame), self._firmware.modes[Mode.LAND]
+            refused = message.result not in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
+            if refused and message.command == mavlink.MAV_CMD_DO_SET_MODE and self._asked != {land}:
                 self._ask_for(Mode.LAND)
         return False
 
@@ -158,9 +157,8 @@ class Keeper:
         mode, before = message.custom_mode, self._mode
         failed = message.system_status >= mavlink.MAV_STATE_CRITICAL > self._status
         if before is not None and mode != before and mode not in self._asked:
-            self._taken_over = not (
-                failed and mode in self._firmware.hovers
-            )  # a failsafe that only hovers has taken nothing over
+            # a failsafe that only hovers has taken nothing over
+            self._taken_over = not (failed and mode in self._firmware.hovers)
         self._mode, self._status = mode, message.system_status
 
     def _message(self, frame: Frame) -> Any:
@@ -178,20 +176,16 @@ class Keeper:
             return
         if self._gone and self._heard_s < now_s - GIVEN_UP_S:
             if self._is_in_charge:
-                self._say(
-                    CRITICAL,
-                    f"The autopilot is not heard for {GIVEN_UP_S:g} s: its own failsafe is in charge",
-                )
+                silence = f"The autopilot is not heard for {GIVEN_UP_S:g} s"
+                self._say(CRITICAL, f"{silence}: its own failsafe is in charge")
             self.over = True
-        elif self._is_in_charge and not self._comes_down:
+        elif self._is_in_charge and self._firmware.reports.get(self._mode or 0) not in COMING_DOWN:
             self._act(now_s)
         else:
             if self.acted and not self._told:
                 self._told = True
-                self._say(
-                    WARNING,
-                    f"The vehicle is left in {self._mode_name}" if self._armed else "The motors have stopped",
-                )
+                left = f"The vehicle is left in {self._firmware.mode_name(self._mode or 0)}"
+                self._say(WARNING, left if self._armed else "The motors have stopped")
             self.over = self._gone and (self._armed or not self._ours or now_s - self._beat_s > ARMED_S)
 
     def _act(self, now_s: float) -> None:
@@ -223,16 +217,8 @@ class Keeper:
         return self._armed and self._ours and not self._taken_over
 
     @property
-    def _comes_down(self) -> bool:
-        return self._mode is not None and self._firmware.reports.get(self._mode) in COMING_DOWN
-
-    @property
     def _on_ground(self) -> bool:
         return stands(self._landed, self._status)
-
-    @property
-    def _mode_name(self) -> str:
-        return self._firmware.mode_name(self._mode or 0)
 
 
 class Switch(Hub):
@@ -310,8 +296,9 @@ class Switch(Hub):
 
 
 def main() -> None:
-    """Keep the vehicle at a URL for the uav on stdin; the line on stdout is empty if the URL can be used,
-    else it says why not.
+    """Keep the vehicle at a URL for the uav on stdin.
+
+    The line on stdout is empty if the URL can be used, else it says why not.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends when the uav has ended and the vehicle is cared for

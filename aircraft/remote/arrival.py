@@ -1,6 +1,4 @@
-"""The targets of a real vehicle: whose it flies to, and when it has arrived: near enough and slow enough,
-for long enough.
-"""
+"""The targets of a real vehicle: whose it flies to, and when it has arrived."""
 
 import math
 from collections import deque
@@ -35,8 +33,9 @@ class Approach:
         self._near_since_s = math.inf
 
     def arrived(self, at_s: float, position: Ned, velocity: Ned, known: bool) -> bool:
-        """Take where the vehicle is, at a time of its own clock; returns whether it has arrived; with a
-        position not `known`, it has not.
+        """Take where the vehicle is, at a time of its own clock.
+
+        Returns whether it has arrived; with a position not `known`, it has not.
 
         By the vehicle's clock, what a slow or halting link takes is no time at rest.
         """
@@ -53,8 +52,9 @@ KEPT = 4  # as many of our latest targets may still be read back: a radio link i
 
 
 class Targets:
-    """Whose target an autopilot flies to, as far as it reads back. Positions NED, m from the EKF's origin;
-    None is no position.
+    """Whose target an autopilot flies to, as far as it reads back.
+
+    Positions NED, m from the EKF's origin; None is no position.
 
     What it reads back is foreign if it is neither one of ours nor what it was before: a target of ours
     that the autopilot does not take leaves the one before, and a take-off reads back whatever was there

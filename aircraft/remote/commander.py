@@ -32,8 +32,9 @@ Steps = Generator[None, None, Returned]  # something that takes a while: it is r
 
 
 class Commander:
-    """Keeps up what is known of one vehicle, and commands it. Times are of the vehicle's own clock, s,
-    except where said.
+    """Keeps up what is known of one vehicle, and commands it.
+
+    Times are of the vehicle's own clock, s, except where said.
     """
 
     def __init__(
@@ -71,8 +72,9 @@ class Commander:
     # ---- what goes in and out all the time ----
 
     def poll(self, now_s: float) -> None:
-        """Take what has come, and send what is due. Raises VehicleFailed if this is no vehicle for a
-        search.
+        """Take what has come, and send what is due.
+
+        Raises VehicleFailed if this is no vehicle for a search.
         """
         if now_s - self.now_s > SLOWEST_S * self.speedup:
             # we were held up: what has come meanwhile is not read yet
@@ -147,8 +149,9 @@ class Commander:
     def command(
         self, number: int, *params: float, seen: Callable[[], bool], within_s: float = DONE_S
     ) -> Steps[Result]:
-        """Send MAV_CMD `number` until it is done (`CommandRun`); a refusal has the texts that came with
-        it.
+        """Send MAV_CMD `number` until it is done (`CommandRun`).
+
+        A refusal has the texts that came with it.
         """
         if seen():
             return ACCEPTED
@@ -179,8 +182,9 @@ class Commander:
         return self.until(lambda: False, for_s)
 
     def read_parameters(self, names: tuple[str, ...]) -> Steps[None]:
-        """Read parameters into `known`; those that are not answered stay unknown. `A|B`: one or the other,
-        whichever there is.
+        """Read parameters into `known`.
+
+        Those that are not answered stay unknown. `A|B`: one or the other, whichever there is.
         """
         wanted = [name.split("|") for name in names]
 

@@ -106,8 +106,9 @@ class Glitches:
         self._flies = flies
 
     def moved(self, fix: Fix, now_s: float) -> bool:
-        """Take a position; returns whether it is newer than the one before: datagrams may overtake each
-        other.
+        """Take a position.
+
+        Returns whether it is newer than the one before: datagrams may overtake each other.
         """
         before = self.fix
         if before and elapsed_ms(before.boot_ms, fix.boot_ms) <= 0:
@@ -156,8 +157,9 @@ class Glitches:
         self.flies(False)
 
     def _wrong(self, now_s: float, since_s: float, why: str, again: bool | None = None) -> None:
-        """Note that something is wrong; `again`: with a position that was off before, which makes it the
-        same glitch.
+        """Note that something is wrong.
+
+        `again`: with a position that was off before, which makes it the same glitch.
         """
         self._wrong_s = now_s
         if not self._flies or self.began_s < math.inf:

@@ -34,8 +34,9 @@ Global = tuple[float, float, float]  # latitude and longitude in degrees, altitu
 
 @dataclass
 class Known:
-    """The newest of what one vehicle has said. Times are the caller's, s; positions NED, m from the EKF's
-    origin.
+    """The newest of what one vehicle has said.
+
+    Times are the caller's, s; positions NED, m from the EKF's origin.
 
     `slowest_s`: shortest time after which anything may count as missing; a vehicle whose simulator runs
     fast needs it.
@@ -157,8 +158,9 @@ class Known:
         return float(struct.unpack("<i", struct.pack("<f", message.param_value))[0])
 
     def _blows(self, north: float, east: float, now_s: float) -> None:
-        """Take the velocity of the air. A wind of exactly zero is one that the autopilot has not
-        estimated.
+        """Take the velocity of the air.
+
+        A wind of exactly zero is one that the autopilot has not estimated.
         """
         known = math.isfinite(north) and math.isfinite(east) and (north or east)
         self.wind, self.wind_s = (-east, -north) if known else None, now_s
@@ -198,14 +200,16 @@ class Known:
         return self.knows_place(now_s) and not self.glitches.lasts(now_s)
 
     def missing(self, now_s: float) -> str:
-        """Return what is still missing to fly by setpoints; empty if nothing is. Arming may be accepted
-        long before that.
+        """Return what is still missing to fly by setpoints.
+
+        Empty if nothing is. Arming may be accepted long before that.
         """
         return self.unplaced(now_s) or self.unready
 
     def unplaced(self, now_s: float) -> str:
-        """Return what is missing to know where it and the area are, and how to get it; empty if nothing
-        is.
+        """Return what is missing to know where it and the area are, and how to get it.
+
+        Empty if nothing is.
         """
         asked = "though it is asked for (MAV_CMD_REQUEST_MESSAGE):"
         if self.lost(now_s):
@@ -223,8 +227,9 @@ class Known:
 
     @property
     def unready(self) -> str:
-        """Why it would not arm; empty if it would. ArduPilot's check depends on the mode, and says why
-        when it is armed.
+        """Why it would not arm.
+
+        Empty if it would. ArduPilot's check depends on the mode, and says why when it is armed.
         """
         if self.firmware.is_ardupilot or self.healthy:
             return ""
@@ -239,8 +244,9 @@ class Known:
 
     @property
     def _area_at(self) -> Ned:
-        """The area's corner. When the position jumps, it moves as well: the vehicle, and the area, have
-        stayed.
+        """The area's corner.
+
+        When the position jumps, it moves as well: the vehicle, and the area, have stayed.
         """
         north, east, down = self._corner
         return north + self.glitches.shift[0], east + self.glitches.shift[1], down

@@ -1,5 +1,6 @@
-"""What is done before a real vehicle is armed: one list is told, once; and what is missing is waited for,
-but not for ever.
+"""What is done before a real vehicle is armed: one list is told, once.
+
+What is missing is waited for, but not for ever.
 """
 
 import math
@@ -63,16 +64,18 @@ class Preflight:
             self._known_all = next(self._steps, ENDED) is ENDED
 
     def take_wind(self, check: Check) -> None:
-        """Take where the wind of the readings comes from; before that, and without any, there is no
-        flight.
+        """Take where the wind of the readings comes from.
+
+        Before that, and without any, there is no flight.
         """
         self._wind = check
         if check.verdict is Verdict.FORBIDS:
             self._tell()
 
     def ask(self) -> str:
-        """Return what is missing before arming, `missing` or the wind; once all of the list is known, it
-        is told first.
+        """Return what is missing before arming, `missing` or the wind.
+
+        Once all of the list is known, it is told first.
         """
         if not self._known_all or self._told:
             return self.missing or ("" if self._wind else UNANSWERED)

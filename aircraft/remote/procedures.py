@@ -1,5 +1,6 @@
-"""What a real vehicle is told to do over several seconds: one procedure at a time, resumed at each poll;
-and who else leads it.
+"""What a real vehicle is told to do over several seconds, and who else leads it.
+
+One procedure runs at a time, resumed at each poll.
 """
 
 import math
@@ -85,8 +86,9 @@ class Procedures:
         return self.known.firmware.modes[Mode.OFFBOARD]
 
     def poll(self, now_s: float) -> None:
-        """Take what the vehicle has said, and go on with what it is told. Raises VehicleFailed if it is no
-        vehicle for a search.
+        """Take what the vehicle has said, and go on with what it is told.
+
+        Raises VehicleFailed if it is no vehicle for a search.
         """
         try:
             self._hear(now_s)
@@ -237,8 +239,9 @@ class Procedures:
         self.begin(self._take_off(altitude_m), Mode.TAKEOFF, {*self.known.firmware.climbs})
 
     def _take_off(self, altitude_m: float) -> Steps[None]:
-        """ArduPilot takes an altitude above home, and a NaN ends it; PX4 one above sea, and NaN for what
-        it shall not change.
+        """Climb. ArduPilot takes an altitude above home, and a NaN ends it.
+
+        PX4 takes one above sea, and NaN for what it shall not change.
         """
         known, armed_s = self.known, self.now_s
         self.commander.send(mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HOME_POSITION))

@@ -1,5 +1,6 @@
-"""What the autopilot's parameters say of a flight: its failsafes and its fence. They are read, never
-changed.
+"""What the autopilot's parameters say of a flight: its failsafes and its fence.
+
+They are read, never changed.
 """
 
 import enum

@@ -33,8 +33,9 @@ ARRIVAL = ArrivalRule()
 
 
 class RemoteVehicle:
-    """One real multirotor, or its own simulator. Positions are NED, m from the search area's south-west
-    corner, which is home.
+    """One real multirotor, or its own simulator.
+
+    Positions are NED, m from the search area's south-west corner, which is home.
 
     No call waits: a command begins, `mode` shows what is being done, and `advance` tells what comes of it.
     Times are s of the caller's clock, which runs as fast as the vehicle's own simulator. Setpoints go out
@@ -54,8 +55,9 @@ class RemoteVehicle:
         *,
         launched: bool = False,
     ) -> None:
-        """Take the conversation with a vehicle, which need not be there yet; `config` says how high and
-        how far it may fly.
+        """Take the conversation with a vehicle, which need not be there yet.
+
+        `config` says how high and how far it may fly.
 
         wait_s, launched: how long the search's begin is waited for, as `Preflight` says.
         """
@@ -73,8 +75,9 @@ class RemoteVehicle:
     # ---- time ----
 
     def catch_up(self, t_s: float) -> None:
-        """Take what the vehicle has said; once for each time. Raises VehicleFailed if it cannot fly the
-        search, or no longer.
+        """Take what the vehicle has said, once for each time.
+
+        Raises VehicleFailed if it cannot fly the search, or no longer.
         """
         if t_s <= self.now_s:
             return
@@ -109,8 +112,9 @@ class RemoteVehicle:
 
     @property
     def mode(self) -> Mode:
-        """The mode in the search's words: what is being done about it counts. One that only pilots fly is
-        HOLD: the search has no part.
+        """The mode in the search's words: what is being done about it counts.
+
+        One that only pilots fly is HOLD: the search has no part.
         """
         if self.flight.doing:
             return self.flight.doing
@@ -160,8 +164,9 @@ class RemoteVehicle:
 
     @property
     def wind(self) -> tuple[float, float] | None:
-        """(u cos φ, u sin φ) m/s, to where the wind comes from, as float32; None where the autopilot does
-        not tell, or no longer.
+        """(u cos φ, u sin φ) m/s, to where the wind comes from, as float32.
+
+        None where the autopilot does not tell, or no longer.
         """
         if self._known.wind is None or self.now_s - self._known.wind_s > self._commander.patient(WIND_S):
             return None
@@ -236,8 +241,9 @@ class RemoteVehicle:
         return ACCEPTED
 
     def setpoint(self, t_s: float, wanted: Ned, *, answers: bool = False) -> Result:
-        """Take a waypoint as the simulated vehicle does: fly there in OFFBOARD, else remember it. The yaw
-        is the autopilot's.
+        """Take a waypoint as the simulated vehicle does: fly there in OFFBOARD, else remember it.
+
+        The yaw is the autopilot's.
         """
         return self._course.begin(wanted, answers=answers) or ACCEPTED
 
@@ -254,8 +260,9 @@ class RemoteVehicle:
         return self._commander.radio.frames()
 
     def forward(self, frame: bytes, asks_for_mode: str = "") -> None:
-        """Hand a client's frame on to the autopilot, unchanged. asks_for_mode: who sent it, if it may
-        change the flight mode.
+        """Hand a client's frame on to the autopilot, unchanged.
+
+        asks_for_mode: who sent it, if it may change the flight mode.
         """
         if asks_for_mode:
             self.flight.asked_by(asks_for_mode)
@@ -264,8 +271,9 @@ class RemoteVehicle:
     # ---- the end ----
 
     def leave(self) -> str:
-        """Send a vehicle home that nobody else is in charge of; returns what becomes of it, nothing if it
-        stands on the ground.
+        """Send a vehicle home that nobody else is in charge of.
+
+        Returns what becomes of it, nothing if it stands on the ground.
 
         Call it, and `catch_up`, again and again until `left`.
         """

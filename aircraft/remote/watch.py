@@ -1,5 +1,6 @@
-"""What is done about a real vehicle's troubles: link or position lost, battery low, geofence breached,
-failsafes of its own.
+"""What is done about a real vehicle's troubles.
+
+They are a link or a position that is lost, a low battery, a breached geofence, and failsafes of its own.
 """
 
 import math
@@ -59,8 +60,9 @@ class Watch:
             raise VehicleFailed(f"link lost for {lost_s:.0f} s: the autopilot's own failsafe is in charge")
 
     def _mode(self, now_s: float) -> None:
-        """A failsafe that only hovers leaves nobody in charge: then it is flown home. A pilot is left
-        alone.
+        """A failsafe that only hovers leaves nobody in charge: then it is flown home.
+
+        A pilot is left alone.
 
         The HEARTBEAT in which a failsafe's mode is new is the first, or soon after the first, with a
         critical status; a breach of the fence may have its text alone, before or after. A status that
@@ -90,8 +92,9 @@ class Watch:
             flight.say(CRITICAL, reason)
 
     def _failsafe(self, now_s: float) -> None:
-        """A failsafe that only warns, as its action is 0. Each is looked at once: a pilot who leads then
-        knows of it.
+        """A failsafe that only warns, as its action is 0.
+
+        Each is looked at once: a pilot who leads then knows of it.
         """
         critical_s = self._known.critical_s
         if critical_s <= self._warned_s or now_s - critical_s <= SAME_TIME_S:

@@ -21,6 +21,8 @@ HEARTBEAT = Codec(1, 1).pack(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 3
 class FakeBus:
     """A bus on which the test speaks."""
 
+    connected = True
+
     def __init__(self) -> None:
         self.log = Log("bridge", "test", Tally(), "error")
         self.hears: dict[str, Callable[[Arrival], None]] = {}
@@ -32,14 +34,16 @@ class FakeBus:
 def test_large_messages_fill_no_more_memory_than_their_limit_and_the_lost_ones_are_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("aircraft.bridge.bus_link.WAITING_BYTES", 10_000, raising=False)
+    monkeypatch.setattr("link.bus.inbox.WAITING_BYTES", 10_000)
     bus = FakeBus()
     channel = BusChannel(bus, "bus", lambda: None)  # type: ignore[arg-type]
     say = bus.hears[MAVLINK_OUT.name]
     for _ in range(30):
         say(Arrival(MAVLINK_OUT, bytes(900), b"a" * 100))
     assert len(channel.take()) == 10
-    assert channel.traffic.dropped == {"bytes of garbage": 9000, "that came too fast": 20}
+    channel.tick()
+    assert channel.traffic.dropped == {"bytes of garbage": 9000}
+    assert bus.log.tally.refused["overflow"] == 20
     say(Arrival(MAVLINK_OUT, HEARTBEAT, b""))
     ((_, (frame,)),) = channel.take()
     assert frame.data == HEARTBEAT
