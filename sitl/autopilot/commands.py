@@ -13,7 +13,6 @@ from link.bus.mavlink import Message
 from link.bus.px4 import AvailableModes, ProtocolVersion
 from sitl.autopilot.parameters import Parameters
 from sitl.autopilot.plan import ABOVE_HOME, ABOVE_SEA
-from sitl.autopilot.services import available_modes
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 
@@ -188,7 +187,18 @@ def _protocol_version(_number: int, _streams: Telemetry) -> list[Message]:
 
 
 def _available_modes(number: int, _streams: Telemetry) -> list[Message]:
-    return available_modes(number)
+    return [
+        AvailableModes(
+            custom_mode=mode.custom_mode,
+            properties=0,
+            number_modes=len(Mode),
+            mode_index=index,
+            standard_mode=mode.standard,
+            mode_name=mode.name.capitalize().encode(),
+        )
+        for index, mode in enumerate(Mode, start=1)
+        if number in (0, index)
+    ]
 
 
 def _message_interval(number: int, streams: Telemetry) -> list[Message]:

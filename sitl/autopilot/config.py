@@ -41,16 +41,15 @@ class VehicleConfig(AircraftConfig):
 
     def __post_init__(self) -> None:
         """Check every range."""
-        if not 1 <= self.sysid <= 255:
-            raise ValueError(f"sysid is {self.sysid}: allowed is 1 to 255")
-        for name, limit in (
-            ("home_lat_deg", 90.0),
-            ("home_lon_deg", 180.0),
-            ("home_heading_deg", 360.0),
-            ("home_alt_m", 10_000.0),
-        ):
-            if not abs(getattr(self, name)) <= limit:
-                raise ValueError(f"{name} is {getattr(self, name)}: allowed is -{limit:g} to {limit:g}")
+        self._check("sysid", 1 <= self.sysid <= 255, "1 to 255")
+        bounds = {
+            "home_lat_deg": 90.0,
+            "home_lon_deg": 180.0,
+            "home_heading_deg": 360.0,
+            "home_alt_m": 10_000.0,
+        }
+        for name, bound in bounds.items():
+            self._check(name, abs(getattr(self, name)) <= bound, f"-{bound:g} to {bound:g}")
         for name in (
             "area_m",
             "ceiling_m",
@@ -60,19 +59,17 @@ class VehicleConfig(AircraftConfig):
             "accel_mps2",
             "yaw_rate_dps",
         ):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}: allowed is a finite number above 0")
+            self._check(name, 0.0 < getattr(self, name) < math.inf, "a finite number above 0")
         for name in ("takeoff_altitude_m", "return_altitude_m"):
-            if not 0.0 < getattr(self, name) <= self.ceiling_m:
-                raise ValueError(
-                    f"{name} is {getattr(self, name)}: allowed is above 0 and up to the ceiling, "
-                    f"{self.ceiling_m:g}"
-                )
-        if self.fence_action not in range(6):
-            raise ValueError(f"fence_action is {self.fence_action}: allowed is 0 to 5")
+            allowed = f"above 0 and up to the ceiling, {self.ceiling_m:g}"
+            self._check(name, 0.0 < getattr(self, name) <= self.ceiling_m, allowed)
+        self._check("fence_action", self.fence_action in range(6), "0 to 5")
         for name in ("silence_s", "stream_s", "disarm_landed_s", "disarm_preflight_s", "endurance_s"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} is {getattr(self, name)}: allowed is above 0, inf for never")
+            self._check(name, getattr(self, name) > 0.0, "above 0, inf for never")
+
+    def _check(self, name: str, holds: bool, allowed: str) -> None:
+        if not holds:
+            raise ValueError(f"{name} is {getattr(self, name)}: allowed is {allowed}")
 
     @property
     def limits(self) -> Limits:

@@ -50,8 +50,9 @@ class Polygon(NamedTuple):
     vertices: tuple[NorthEast, ...]
 
     def allows(self, place: NorthEast) -> bool:
-        """True on the edge and on its allowed side; by the ray that leaves an inner place across an odd
-        number of edges.
+        """True on the edge and on its allowed side.
+
+        A ray from a place inside crosses an odd number of edges.
         """
         north, east = place
         inside = False
@@ -81,9 +82,7 @@ class Polygon(NamedTuple):
 
 
 class Fence(NamedTuple):
-    """Every shape has to be kept: the vehicle stays inside all inclusions and outside all exclusions, as
-    in PX4.
-    """
+    """Shapes to keep to: inside all inclusions and outside all exclusions, as in PX4."""
 
     shapes: tuple[Circle | Polygon, ...] = ()
     number: int = 0  # the checksum of the items that it was made of; 0 without a fence
@@ -121,9 +120,7 @@ class Rally(NamedTuple):
     number: int = 0  # the checksum of the items that they were made of; 0 without rally points
 
     def nearest(self, position: Ned) -> NorthEast:
-        """Return the nearest of home and the rally points, as PX4's RTL_TYPE 0 does; home if two are
-        equally near.
-        """
+        """Return the nearest of home and the rally points, as PX4's RTL_TYPE 0 does; home if equally near."""
         return min(((0.0, 0.0), *self.places), key=lambda place: math.dist(place, position[:2]))
 
 

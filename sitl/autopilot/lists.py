@@ -104,9 +104,7 @@ class PlanService:
         return self._upload.asked_s + RETRY_S if self._upload else math.inf
 
     def due(self, link: object) -> Reply:
-        """Return what to send over a link now: the request of a missing item again, or the end of the
-        upload.
-        """
+        """Return what to send over a link now: the request of a missing item, or the end of the upload."""
         upload, now_s = self._upload, self._clock()
         if not upload or upload.link is not link or now_s < upload.asked_s + RETRY_S:
             return Reply([])

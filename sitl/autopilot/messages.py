@@ -80,17 +80,13 @@ def global_position_int(s: Snapshot) -> Message:
 
 
 def local_position_ned(s: Snapshot) -> Message:
-    """LOCAL_POSITION_NED (32): position and velocity from home; a reading is taken at exactly these
-    float32 values.
-    """
+    """LOCAL_POSITION_NED (32): position and velocity; a reading is taken at these float32 values."""
     values = np.array(s.state.position + s.state.velocity, np.float32).tolist()
     return mavlink.MAVLink_local_position_ned_message(s.time_boot_ms, *values)
 
 
 def attitude(s: Snapshot) -> Message:
-    """ATTITUDE (30): roll and pitch from the thrust direction, yaw, and the yaw rate; roll and pitch rates
-    are not simulated (0).
-    """
+    """ATTITUDE (30): roll and pitch of the thrust, yaw and yaw rate; other rates are not simulated."""
     state = s.state
     return mavlink.MAVLink_attitude_message(
         s.time_boot_ms, state.roll, state.pitch, state.yaw, 0.0, 0.0, state.yaw_rate
@@ -122,7 +118,7 @@ def wind_cov(s: Snapshot) -> Message:
 
 
 def named_value_float_gas(s: Snapshot) -> Message | None:
-    """NAMED_VALUE_FLOAT (251) `gas`: the last reading with the time it was taken; None before the first."""
+    """NAMED_VALUE_FLOAT (251) `gas`: the last reading with the time it was taken; none before the first."""
     return None if s.gas is None else gas_message(*s.gas)
 
 
@@ -166,21 +162,17 @@ IMU_FIELDS = (
 
 
 def highres_imu(s: Snapshot) -> Message:
-    """HIGHRES_IMU (105): what an accelerometer feels and the yaw rate. Nothing else is simulated, nor
-    marked as updated.
-    """
+    """HIGHRES_IMU (105): what an accelerometer measures, and the yaw rate; nothing else is simulated."""
     north, east, down = s.state.acceleration
-    felt = in_body(s, (north, east, down - GRAVITY_MPS2))
+    measured = in_body(s, (north, east, down - GRAVITY_MPS2))
     nothing = [0.0] * 7
     return mavlink.MAVLink_highres_imu_message(
-        round(s.state.time_s * 1e6), *felt, 0.0, 0.0, s.state.yaw_rate, *nothing, IMU_FIELDS
+        round(s.state.time_s * 1e6), *measured, 0.0, 0.0, s.state.yaw_rate, *nothing, IMU_FIELDS
     )
 
 
 def altitude(s: Snapshot) -> Message:
-    """ALTITUDE (141): above sea and above home, m. There is no terrain: the ground is level, at home's
-    altitude.
-    """
+    """ALTITUDE (141): above sea and above home, m. The ground is level, at home's altitude."""
     height = -s.state.position[2]
     sea = s.altitude_m
     return mavlink.MAVLink_altitude_message(
@@ -189,9 +181,7 @@ def altitude(s: Snapshot) -> Message:
 
 
 def position_target_local_ned(s: Snapshot) -> Message | None:
-    """POSITION_TARGET_LOCAL_NED (85): where the current leg ends, or the velocity that is asked for; None
-    while disarmed.
-    """
+    """POSITION_TARGET_LOCAL_NED (85): the end of the leg, or the velocity asked for; none while disarmed."""
     if not s.state.armed:
         return None
     mask, values = POSITION_ONLY, [*s.state.target, *[0.0] * 8]
@@ -215,9 +205,7 @@ KNOWN = (
 
 
 def estimator_status(s: Snapshot) -> Message:
-    """ESTIMATOR_STATUS (230): the position is known and without error, so no test of an innovation comes
-    near its limit.
-    """
+    """ESTIMATOR_STATUS (230): the position has no error, so no test ratio comes near its limit."""
     return mavlink.MAVLink_estimator_status_message(round(s.state.time_s * 1e6), KNOWN, *[0.0] * 8)
 
 
@@ -256,7 +244,7 @@ EMPTY_CELL_V, FULL_CELL_V = 3.5, 4.2
 REACHED_S = 1.0  # how long MISSION_ITEM_REACHED is sent; PX4 sends it ten times, at 10 Hz
 # The PX4 release whose protocol the vehicle speaks: stations warn of older ones. "dev": it is none of PX4's.
 FLIGHT_SW_VERSION = (1, 15, 0, mavlink.FIRMWARE_VERSION_TYPE_DEV)
-# Who it really is: `flight_custom_version` has the version, as PX4's vendors order it, and the name.
+# Its own name and version: `flight_custom_version` has the version, as PX4's vendors order it, and the name.
 OWN_NAME, OWN_VERSION = b"plume", (0, 1, 0)
 
 
@@ -292,9 +280,7 @@ logging) are not reported.
 
 
 def sys_status(s: Snapshot) -> Message:
-    """SYS_STATUS (1): only simulated parts that work are reported healthy; PREARM_CHECK unless the battery
-    is empty or it is falling.
-    """
+    """SYS_STATUS (1): simulated parts that work are healthy; PREARM_CHECK, if it is fit to fly."""
     simulated = ALWAYS_HEALTHY | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY | mavlink.MAV_SYS_STATUS_PREARM_CHECK
     healthy = ALWAYS_HEALTHY
     if s.state.battery > LOW_BATTERY:
@@ -319,9 +305,7 @@ def sys_status(s: Snapshot) -> Message:
 
 
 def battery_status(s: Snapshot) -> Message:
-    """BATTERY_STATUS (147): a battery that drains evenly while the motors are on; current is not
-    simulated.
-    """
+    """BATTERY_STATUS (147): it drains evenly while the motors are on; current is not simulated."""
     left = s.state.battery
     if left <= 0.0:
         charge = mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL
@@ -390,9 +374,7 @@ def current_mode(s: Snapshot) -> Message:
 
 
 def mission_current(s: Snapshot) -> Message:
-    """MISSION_CURRENT (42): the current item, how many there are, the mission's state, and the ids of
-    mission, fence and rally points.
-    """
+    """MISSION_CURRENT (42): the item, the count, the state, the ids of mission, fence and rally points."""
     mission = s.state.mission
     return MissionCurrent(
         seq=mission.seq,
@@ -406,9 +388,7 @@ def mission_current(s: Snapshot) -> Message:
 
 
 def mission_item_reached(s: Snapshot) -> Message | None:
-    """MISSION_ITEM_REACHED (46): the item that was done within the last second; one datagram may be lost,
-    ten hardly are.
-    """
+    """MISSION_ITEM_REACHED (46): the item done within the last second, ten times, for lossy links."""
     seq, reached_s = s.state.mission.reached or (0, -math.inf)
     return (
         mavlink.MAVLink_mission_item_reached_message(seq) if s.state.time_s - reached_s <= REACHED_S else None

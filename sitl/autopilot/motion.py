@@ -62,9 +62,7 @@ class Phase(NamedTuple):
 
 
 class Trajectory(NamedTuple):
-    """Consecutive phases, then rest exactly on the target: the final position equals the target bit for
-    bit.
-    """
+    """Consecutive phases, then rest. The final position equals the target bit for bit."""
 
     start_s: float
     target: Ned
@@ -83,9 +81,7 @@ class Trajectory(NamedTuple):
         return Motion(self.target)
 
     def to(self, target: Ned, limits: Limits) -> "Trajectory":
-        """This trajectory plus a straight leg from its end to a new target: speed up, cruise (if long
-        enough), slow down.
-        """
+        """Return this trajectory and a straight leg to a new target: speed up, cruise, slow down."""
         difference = minus(target, self.target)
         length = math.hypot(*difference)
         if length < TINY:
@@ -128,9 +124,7 @@ def halt(t_s: float, motion: Motion, limits: Limits) -> Trajectory:
 
 
 def fall(t_s: float, motion: Motion) -> Trajectory:
-    """Fall to the ground (down = 0) with the motors off and without air drag, then rest at the impact
-    point.
-    """
+    """Fall to the ground (down = 0) with the motors off and without air drag; rest at the point of impact."""
     height, climb = -motion.position[2], -motion.velocity[2]
     duration = (climb + math.sqrt(climb * climb + 2.0 * GRAVITY_MPS2 * max(height, 0.0))) / GRAVITY_MPS2
     end_s, gravity = t_s + duration, (0.0, 0.0, GRAVITY_MPS2)
@@ -172,9 +166,7 @@ def wrapped(angle_rad: float) -> float:
 
 
 def tilt(acceleration: Ned, yaw_rad: float) -> tuple[float, float]:
-    """(roll, pitch) in rad of a multirotor whose thrust and gravity give this acceleration (NED, m/s²),
-    without air drag.
-    """
+    """Return (roll, pitch) in rad of a multirotor that accelerates (NED, m/s²), without air drag."""
     north, east, down = acceleration
     forward = north * math.cos(yaw_rad) + east * math.sin(yaw_rad)
     right = east * math.cos(yaw_rad) - north * math.sin(yaw_rad)
@@ -224,9 +216,7 @@ def real_roots(coefficients: Iterable[float]) -> list[float]:
 
 
 def _speed_limit(direction: Ned, limits: Limits) -> float:
-    """Highest speed (m/s) along a unit vector whose horizontal and vertical parts stay within their
-    limits.
-    """
+    """Highest speed (m/s) along a unit vector within the horizontal and vertical limits."""
     horizontal, down = math.hypot(direction[0], direction[1]), direction[2]
     vertical_limit = limits.descent_mps if down > 0.0 else limits.climb_mps
     return min(

@@ -154,8 +154,9 @@ def _moving(velocity: Ned) -> Ned:
 
 
 def steered(setpoint: Setpoint, t_s: float, motion: Motion, config: VehicleConfig) -> Trajectory:
-    """Return the way of a velocity or an acceleration. It ends at rest, at the latest on the edge of the area
-    or the altitudes. On the ground, only what climbs moves the vehicle.
+    """Return the way of a velocity or an acceleration, which ends at rest, at the latest on an edge.
+
+    On the ground, only what climbs moves the vehicle.
     """
     limits, pushes = config.limits, _pushes(setpoint, motion, config.limits)
     if motion.position[2] >= 0.0 and all(push.acceleration[2] >= 0.0 for push in pushes):
@@ -201,9 +202,7 @@ def _change(start: Ned, end: Ned, accel: float) -> Push:
 def _change_at_height(
     motion: Motion, horizontal: tuple[float, float], height_m: float, limits: Limits
 ) -> list[Push]:
-    """To a horizontal velocity, and down by `height_m` on the way: climb or sink, then level off. Units m
-    and m/s.
-    """
+    """To a horizontal velocity, and down by `height_m` on the way, then level. Units m and m/s."""
     accel, (north, east) = limits.accel_mps2, horizontal
 
     def left_m(down: float) -> float:
@@ -282,9 +281,7 @@ class Companion:
         self.setpoint, self._before_s, self._heard_s = setpoint, self._heard_s, now_s
 
     def missing(self, now_s: float, config: VehicleConfig) -> str:
-        """Return what OFFBOARD still needs: a setpoint that is not too old, if strict a stream of at least
-        2 Hz; or nothing.
-        """
+        """Return what OFFBOARD still needs: a recent setpoint, or a stream of 2 Hz or more; or nothing."""
         if self.setpoint is None:
             return "no setpoint received yet"
         age_s, gap_s, longest_s = (

@@ -182,14 +182,16 @@ class Parameters:
     # ---- requests ----
 
     def _list(self, _: Request) -> Reply:
-        return Reply([self._hash(), *map(self._told, PARAMETERS)])
+        return Reply([self._hash(), *map(self._param, PARAMETERS)])
 
     def _read(self, request: Request) -> Reply:
         name, index = request.message.param_id, request.message.param_index
         if index < 0 and name == HASH:
             return Reply([self._hash()])
         number = index if index >= 0 else INDEX.get(name, -1)
-        return Reply([self._told(PARAMETERS[number])]) if 0 <= number < len(PARAMETERS) else _unknown(request)
+        return (
+            Reply([self._param(PARAMETERS[number])]) if 0 <= number < len(PARAMETERS) else _unknown(request)
+        )
 
     def _set(self, request: Request) -> Reply:
         message = request.message
@@ -202,9 +204,9 @@ class Parameters:
         if message.param_type == parameter.kind:
             value = parameter.unpack(struct.pack("<f", message.param_value))
             reason = self.change(parameter.name, value, request.t_s)
-        return Reply([self._told(parameter)], reason and f"{parameter.name} refused: {reason}")
+        return Reply([self._param(parameter)], reason and f"{parameter.name} refused: {reason}")
 
-    def _told(self, parameter: Parameter) -> Message:
+    def _param(self, parameter: Parameter) -> Message:
         value = parameter.pack(self.value(parameter))
         return _param_value(parameter.name, value, parameter.kind, INDEX[parameter.name])
 

@@ -129,7 +129,7 @@ class Leg(NamedTuple):
 
 
 class MissionProgress(NamedTuple):
-    """How far a mission is, as MISSION_CURRENT (42) tells it."""
+    """How far a mission is: the content of MISSION_CURRENT (42)."""
 
     seq: int = 0
     total: int = 0
@@ -199,8 +199,9 @@ def place(item: Item, config: VehicleConfig) -> NorthEast:
 
 
 def fence(items: tuple[Item, ...], number: int, config: VehicleConfig) -> Fence:
-    """Return the fence that items make; raises BadItem. The vertices of a polygon follow each other, each
-    with their count.
+    """Return the fence that items make; raises BadItem.
+
+    The vertices of a polygon follow each other, each with their count.
     """
     shapes: list[Circle | Polygon] = []
     at = 0
@@ -267,8 +268,7 @@ class FlightPlan:
         self._speed_mps = self._speed_mps if seq else 0.0
 
     def leg(self, t_s: float, at: Ned, grounded: bool, config: VehicleConfig) -> Leg | None:
-        """Carry out what needs no flight; return the leg of the first step that does, None at the end of
-        the mission.
+        """Carry out what needs no flight; return the leg of the first step that does, None at the end.
 
         at: where the vehicle is, or comes to rest; grounded: whether it stands on the ground.
         """

@@ -34,11 +34,10 @@ class MavlinkProtocol(Words):
             for service in (*self._parameters.services, *SERVICES, *self._plans.services)
         }
         """By the type of message that each takes."""
-        self._told: set[tuple[str, int, int]] = set()  # who got which text of REFUSED_ONCE
+        self._told: set[tuple[str, int, int]] = set()  # (message type, sender) of texts that are sent once
 
     def receive(self, message: Message, t_s: float, streams: Telemetry | None = None) -> list[Message]:
-        """Handle one decoded message received at `t_s`; return the answers for the caller to send back
-        over the same link.
+        """Handle a message received at `t_s`; return the answers, to be sent back over the same link.
 
         Messages to another system or component get no answer. `streams` is the telemetry of the link:
         requests for messages and rates act on it; without it they are unsupported.
@@ -74,15 +73,11 @@ class MavlinkProtocol(Words):
         return self._plans.next_s()
 
     def due(self, streams: Telemetry) -> list[Message]:
-        """Return what has to be sent again over a link, of the telemetry `streams`, because a client has
-        not answered.
-        """
+        """Return what to send again over a link, of the telemetry `streams`: a client has not answered."""
         return self._said(self._plans.due(streams))
 
     def is_addressed(self, message: Message) -> bool:
-        """True unless a message is for another system or component, or comes from our own ids: PX4 ignores
-        those, too.
-        """
+        """True unless a message is for others, or comes from our own ids: PX4 ignores those, too."""
         ours = self._vehicle.config.sysid, COMPONENT
         if (message.get_srcSystem(), message.get_srcComponent()) == ours:
             return False

@@ -1,4 +1,4 @@
-"""The services of MAVLink that need no memory: clocks, modes, and refusals of what the vehicle does not have.
+"""The services of MAVLink that need no memory: clocks, and refusals of what the vehicle does not have.
 
 A service takes one type of message. What has no acknowledgement of its own is refused by STATUSTEXT (253).
 """
@@ -9,9 +9,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from link.bus.mavlink import Message
-from link.bus.px4 import AvailableModes
 from sitl.autopilot.telemetry import Telemetry
 
 
@@ -60,25 +58,6 @@ def ping(request: Request) -> Reply:
     if message.target_system or message.target_component:
         return Reply([])
     return Reply([mavlink.MAVLink_ping_message(message.time_usec, message.seq, *request.asker)])
-
-
-# ---- modes ----
-
-
-def available_modes(index: int) -> list[Message]:
-    """Return AVAILABLE_MODES (435) of one mode, numbered from 1, or with 0 of all; empty if there is none."""
-    return [
-        AvailableModes(
-            custom_mode=mode.custom_mode,
-            properties=0,
-            number_modes=len(Mode),
-            mode_index=number,
-            standard_mode=mode.standard,
-            mode_name=mode.name.capitalize().encode(),
-        )
-        for number, mode in enumerate(Mode, start=1)
-        if index in (0, number)
-    ]
 
 
 # ---- logs and files: there are none ----

@@ -107,9 +107,7 @@ def _not_whole(m: Message, config: VehicleConfig) -> Result:
 
 
 def _given(m: Message, first_bit: int, values: Ned) -> Parts:
-    """The values that are not ignored: neither by the type mask, from its bit on, nor, as in PX4, by being
-    NaN.
-    """
+    """The values that neither the type mask, from `first_bit` on, nor, as in PX4, NaN excludes."""
     x, y, z = (
         None if m.type_mask >> (first_bit + n) & 1 or math.isnan(value) else value
         for n, value in enumerate(values)

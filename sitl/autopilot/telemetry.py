@@ -1,6 +1,4 @@
-"""Telemetry: the table of streamed messages, each built from one snapshot, at the rates of PX4's ONBOARD
-link.
-"""
+"""Telemetry: the table of streamed messages, and the schedule of a link. Rates are those of PX4's ONBOARD."""
 
 import math
 from collections.abc import Callable
@@ -20,9 +18,7 @@ SLOWEST_HEARTBEAT_US = 1_000_000.0
 
 
 class Stream(NamedTuple):
-    """A message, its default rate (0: on request only), and its builder; a builder that returns None has
-    nothing to send.
-    """
+    """A message, its default rate (0: on request only), and its builder, which returns None for nothing."""
 
     message_id: int
     rate_hz: float
@@ -62,9 +58,7 @@ STREAM = {stream.message_id: stream for stream in STREAMS}
 
 
 class Telemetry:
-    """The message schedule of one link; each link has its own, because its client may change the rates.
-    Times in s.
-    """
+    """The message schedule of one link, whose client may change the rates. Times in s."""
 
     def __init__(self, snapshot: Callable[[float], Snapshot], start_s: float = 0.0) -> None:
         """Take a function from a time to the snapshot; every stream is due at `start_s`."""
@@ -83,15 +77,11 @@ class Telemetry:
         return [message for message_id in due if (message := STREAM[message_id].build(snapshot)) is not None]
 
     def next_due_s(self) -> float:
-        """Return when to call `due` again: the slower streams go with the next message of the fastest one,
-        so that we wake less often.
-        """
+        """Return when to call `due` again: slower streams wait for the fastest one, to wake less often."""
         return self._next_s[max(self._rate_hz, key=self._rate_hz.__getitem__)]
 
     def set_interval(self, message_id: int, interval_us: float, now_s: float) -> Result:
-        """Set a stream's interval in µs: −1 turns it off, 0 restores the default. Refuses an unknown
-        message or interval.
-        """
+        """Set a stream's interval in µs: −1 turns it off, 0 restores the default."""
         if message_id not in STREAM or not (interval_us >= 0.0 or interval_us == -1.0):
             return UNSUPPORTED
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT and not 0.0 <= interval_us <= SLOWEST_HEARTBEAT_US:
@@ -105,9 +95,7 @@ class Telemetry:
         return ACCEPTED
 
     def interval_us(self, message_id: int) -> int:
-        """Return a stream's interval in µs as MESSAGE_INTERVAL (244) tells it: −1 is off, 0 an unknown
-        message.
-        """
+        """Return a stream's interval in µs, as MESSAGE_INTERVAL (244) has it: −1 off, 0 unknown."""
         if message_id not in STREAM:
             return 0
         rate = self._rate_hz.get(message_id)

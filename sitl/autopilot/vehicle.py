@@ -54,8 +54,9 @@ class Breaches(NamedTuple):
 
 
 class State(NamedTuple):
-    """The vehicle at one instant. Vectors are NED from home, in m, m/s and m/s²; angles in rad, yaw
-    clockwise from north.
+    """The vehicle at one instant.
+
+    Vectors are NED from home, in m, m/s and m/s²; angles in rad, yaw clockwise from north.
     """
 
     time_s: float
@@ -129,7 +130,7 @@ class Vehicle:
         self.armed = False  # whether its motors may turn
         self.moving = False  # True while the current path has not ended
         self.mission = FlightPlan()  # the mission on board; `load` changes it
-        self.companion = Companion()  # who flies it in OFFBOARD, and the newest setpoint
+        self.companion = Companion()  # the program that flies it in OFFBOARD
 
         self._events: list[VehicleEvent] = []
         self._battery = Battery()
@@ -143,7 +144,7 @@ class Vehicle:
         self._breaches = Breaches()
         self._climb_m, self._waits_since_s = 0.0, 0.0  # a take-off that waits for the motors
         self._alone_since_s = 0.0  # when OFFBOARD began to fly: silence counts from here at the earliest
-        self._end_told: Ned | None = None  # where a companion was told that its velocity ends
+        self._end_told: Ned | None = None  # where the end of a velocity was reported
 
     # ---- time ----
 
@@ -170,9 +171,7 @@ class Vehicle:
         return min((at for at, _ in self._upcoming() if at < math.inf), default=None)
 
     def _upcoming(self) -> list[tuple[float, Callable[[], None]]]:
-        """The coming events, each with its time and handler; of two at the same time the first listed is
-        handled first.
-        """
+        """The coming events with their handlers; of two at the same time the first listed comes first."""
         config, upcoming = self.config, [(self._path.end_s, self._settle)] if self.moving else []
         if not self.armed:
             if self.mode is Mode.TAKEOFF:
@@ -495,9 +494,7 @@ class Vehicle:
         self._turn = facing(self._turn, self.now_s, setpoint, self.config)
 
     def _steer_on(self) -> None:
-        """A velocity or an acceleration has come to rest: go on if it leads elsewhere, such as along the
-        edge; else say so, once.
-        """
+        """A velocity has come to rest: go on if it leads elsewhere, such as along an edge; else say so."""
         setpoint, config, position = self.companion.setpoint, self.config, self._path.target
         assert setpoint is not None
         way = steered(setpoint, self.now_s, self._motion, config)
@@ -530,9 +527,7 @@ class Vehicle:
             self._face(self._leg.step.yaw_rad)
 
     def _item_done_s(self) -> float:
-        """When the current item of the mission is done: after its flight, its turn and its wait; infinity
-        if none is flown.
-        """
+        """When the item that is flown is done: after its flight, turn and wait; infinity if there is none."""
         if self.mode is not Mode.MISSION or self._leg is None:
             return math.inf
         return max(self._path.end_s, self._turn.end_s) + self._leg.step.wait_s
@@ -559,8 +554,9 @@ class Vehicle:
     # ---- the fence ----
 
     def _watch_fence(self, outside: bool = False) -> None:
-        """Find out when the path leaves the fence next. One that leads away from its edge, `outside`, has
-        to come in first.
+        """Find out when the path leaves the fence next.
+
+        outside: it leads away from the edge, so it has to come in first.
         """
         self._left_s = math.inf
         if self.armed and self.config.guards:
