@@ -47,7 +47,7 @@ def ours(seed: int, count: int, rows: Array) -> tuple[list[float], list[bool]]:
     for t in range(1, len(rows) + 1):
         first = p.particles[0, 0], p.particles[0, -1]
         began = time.perf_counter()
-        update(p.cloud, rows[:t], config.model, seed, config.sweeps)
+        update(p.sample, rows[:t], config.model, seed, config.sweeps)
         times.append(time.perf_counter() - began)
         moved.append(first != (p.particles[0, 0], p.particles[0, -1]))
     return times, moved

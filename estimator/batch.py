@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimator.belief import evidence, fit, locates, may_claim, sure_enough
 from estimator.filter import Config, Posterior, prior
 from estimator.kernels.densities import Model
-from estimator.kernels.update import Cloud, update_missions
+from estimator.kernels.update import WeightedSample, update_missions
 from estimator.kernels.weights import moments_of_missions
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ class Batch:
         self.means = np.empty((count, rows))
         self.covariances = np.empty((count, rows, rows))
         self.counts = np.zeros(count, np.int64)  # of the readings that each mission has assimilated
-        self._clouds = Cloud(np.empty((count, rows, particles)), *np.empty((3, count, particles)))
+        self._samples = WeightedSample(np.empty((count, rows, particles)), *np.empty((3, count, particles)))
         self._models = Model(
             first.unknown_indices, np.empty((count, *first.prior_rows.shape)), np.empty((count, 5))
         )
@@ -57,7 +57,7 @@ class Batch:
             raise ValueError(
                 "all missions of a batch must have the same number of particles and the same unknowns"
             )
-        for stacked, array in zip(self._clouds, prior(config).cloud, strict=True):
+        for stacked, array in zip(self._samples, prior(config).sample, strict=True):
             stacked[mission] = array
         self._models.priors[mission], self._models.sensor[mission] = config.model.priors, config.model.sensor
         self.counts[mission], self._seeds[mission], self._configs[mission] = 0, config.seed, config
@@ -65,12 +65,12 @@ class Batch:
     @property
     def particles(self) -> Array:
         """(B, D, N)."""
-        return self._clouds.particles
+        return self._samples.particles
 
     @property
     def weights(self) -> Array:
         """(B, N); the greatest of each mission is 1."""
-        return self._clouds.weights
+        return self._samples.weights
 
     def assimilate(self, readings: Array, missions: Indices | None = None) -> None:
         """Assimilate one reading for each of these missions (M,), by default all. readings: (M, 7), rows
@@ -85,7 +85,7 @@ class Batch:
 
         def update(portion: Indices) -> None:
             update_missions(
-                self._clouds,
+                self._samples,
                 self._readings,
                 self._ranks,
                 self.counts,
@@ -131,5 +131,5 @@ class Batch:
 
     def _view(self, mission: int) -> Posterior:
         """Return a mission's posterior, which changes with the batch."""
-        count, cloud = self.counts[mission], Cloud(*(stacked[mission] for stacked in self._clouds))
-        return Posterior(*cloud, self._readings[mission, :count], self._ranks[mission, :count])
+        count, sample = self.counts[mission], WeightedSample(*(stacked[mission] for stacked in self._samples))
+        return Posterior(*sample, self._readings[mission, :count], self._ranks[mission, :count])

@@ -13,7 +13,7 @@ from estimator import priors
 from estimator.assumptions import effective_priors
 from estimator.criterion import Criterion
 from estimator.kernels.densities import Model, log_priors
-from estimator.kernels.update import Cloud, update
+from estimator.kernels.update import WeightedSample, update
 from estimator.priors import Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS
@@ -171,9 +171,9 @@ class Posterior:
     """
 
     @property
-    def cloud(self) -> Cloud:
+    def sample(self) -> WeightedSample:
         """The arrays that `update` changes."""
-        return Cloud(self.particles, self.log_weights, self.weights, self.log_targets)
+        return WeightedSample(self.particles, self.log_weights, self.weights, self.log_targets)
 
 
 def prior(config: Config) -> Posterior:
@@ -210,7 +210,7 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
         print(said.mean, said.spread)
         ```
     """
-    cloud = Cloud(*(array.copy() for array in posterior.cloud))
+    sample = WeightedSample(*(array.copy() for array in posterior.sample))
     readings = np.vstack([posterior.readings, config.row(reading)])
-    rank = update(cloud, readings, config.model, config.seed, config.sweeps)
-    return Posterior(*cloud, readings, np.append(posterior.ranks, rank))
+    rank = update(sample, readings, config.model, config.seed, config.sweeps)
+    return Posterior(*sample, readings, np.append(posterior.ranks, rank))

@@ -18,11 +18,11 @@ Array = NDArray[np.float64]
 
 RESAMPLE_BELOW = 0.5  # resample if the effective sample size falls below this share of N
 # Most tempered stages per reading. The rest of its likelihood is dropped, so that no admitted reading
-# collapses the cloud to a point.
+# collapses the sample to a point.
 MAX_STAGES = 40
 
 
-class Cloud(NamedTuple):
+class WeightedSample(NamedTuple):
     """Weighted particles; `update` changes the arrays in place."""
 
     particles: Array  # (D, N), one row per unknown
@@ -32,19 +32,19 @@ class Cloud(NamedTuple):
 
 
 ROW, TABLE, STACK = numba.float64[::1], numba.float64[:, ::1], numba.float64[:, :, ::1]
-CLOUD = tuple_type((TABLE, ROW, ROW, ROW), Cloud)
-CLOUDS = tuple_type((STACK, TABLE, TABLE, TABLE), Cloud)
+SAMPLE = tuple_type((TABLE, ROW, ROW, ROW), WeightedSample)
+SAMPLES = tuple_type((STACK, TABLE, TABLE, TABLE), WeightedSample)
 MODELS = tuple_type((numba.int64[::1], STACK, TABLE), Model)
 
 
 @numba.njit(error_model="numpy")
-def reweight(cloud: Cloud, log_densities: Array, exponent: float) -> tuple[float, float]:
+def reweight(sample: WeightedSample, log_densities: Array, exponent: float) -> tuple[float, float]:
     """Multiply the weights by likelihoods (N,), of which `exponent` has been taken already.
 
     Returns the exponent taken by now, 1 unless this would reduce the effective sample size too much
     (`tempered_share`), and that size.
     """
-    _, log_weights, weights, log_targets = cloud
+    _, log_weights, weights, log_targets = sample
     left = 1.0 - exponent
     share, size = tempered_share(log_weights, log_densities, left, weights)
     for i in range(len(weights)):
@@ -54,9 +54,9 @@ def reweight(cloud: Cloud, log_densities: Array, exponent: float) -> tuple[float
 
 
 @numba.njit(error_model="numpy")
-def resample(cloud: Cloud, offset: float) -> None:
+def resample(sample: WeightedSample, offset: float) -> None:
     """Replace the particles by their ancestors, of equal weight, by `systematic` resampling."""
-    particles, log_weights, weights, log_targets = cloud
+    particles, log_weights, weights, log_targets = sample
     ancestors = systematic(weights, offset)
     old_particles, old_targets = particles.copy(), log_targets.copy()
     for row in range(len(particles)):
@@ -66,30 +66,30 @@ def resample(cloud: Cloud, offset: float) -> None:
         log_weights[i], weights[i], log_targets[i] = 0.0, 1.0, old_targets[ancestors[i]]
 
 
-@kernel(numba.float64(CLOUD, TABLE, MODEL, numba.uint64, numba.int64), nogil=True)
-def update(cloud: Cloud, readings: Array, model: Model, seed: int, sweeps: int) -> float:
+@kernel(numba.float64(SAMPLE, TABLE, MODEL, numba.uint64, numba.int64), nogil=True)
+def update(sample: WeightedSample, readings: Array, model: Model, seed: int, sweeps: int) -> float:
     """Assimilate the last of the readings (T, 7) in place, setting its share; returns its predictive rank.
 
     Reweight; if the weights degenerate, resample and move (Gordon 1993; Chopin 2002). A reading that would
     reduce the effective sample size too much is taken in tempered stages (Del Moral 2006).
     tests/estimator/test_textbook.py has the same in plain NumPy.
     """
-    count, step = cloud.particles.shape[1], len(readings) - 1
+    count, step = sample.particles.shape[1], len(readings) - 1
     reading, derived = readings[step], derived_of(count, model)
     means, log_densities = np.empty(count), np.empty(count)
     rank, exponent = 0.5, 0.0
     for stage in range(MAX_STAGES):
         if len(derived):
-            derive(cloud.particles, count, model.unknowns, model.priors, derived)
-        reading_densities(cloud.particles, derived, count, reading, model, means, log_densities)
+            derive(sample.particles, count, model.unknowns, model.priors, derived)
+        reading_densities(sample.particles, derived, count, reading, model, means, log_densities)
         if stage == 0:
             chance = uniform(key_of(seed, step, 0, 1000), 0)
-            rank = predictive_rank(means, derived, cloud.weights, reading[5], model, chance)
-        exponent, size = reweight(cloud, log_densities, exponent)
+            rank = predictive_rank(means, derived, sample.weights, reading[5], model, chance)
+        exponent, size = reweight(sample, log_densities, exponent)
         reading[6] = exponent
         if size < RESAMPLE_BELOW * count:
-            resample(cloud, uniform(key_of(seed, step, stage, 0), 0))
-            move(cloud.particles, cloud.log_targets, readings, model, sweeps, seed, stage)
+            resample(sample, uniform(key_of(seed, step, stage, 0), 0))
+            move(sample.particles, sample.log_targets, readings, model, sweeps, seed, stage)
         if exponent == 1.0:
             break
     return rank
@@ -97,12 +97,12 @@ def update(cloud: Cloud, readings: Array, model: Model, seed: int, sweeps: int) 
 
 @kernel(
     numba.void(
-        *(CLOUDS, STACK, TABLE, numba.int64[::1], MODELS, numba.uint64[::1], numba.int64, numba.int64[::1])
+        *(SAMPLES, STACK, TABLE, numba.int64[::1], MODELS, numba.uint64[::1], numba.int64, numba.int64[::1])
     ),
     nogil=True,
 )
 def update_missions(
-    clouds: Cloud,
+    samples: WeightedSample,
     readings: Array,
     ranks: Array,
     counts: NDArray[np.int64],
@@ -114,9 +114,9 @@ def update_missions(
     """Apply `update` to each of these missions of a batch, with its first `counts` readings; arrays as in
     `update`, stacked, but for the unknowns, which all share.
     """
-    particles, log_weights, weights, log_targets = clouds
+    particles, log_weights, weights, log_targets = samples
     unknowns, priors, sensors = models
     for b in missions:
-        cloud = Cloud(particles[b], log_weights[b], weights[b], log_targets[b])
+        sample = WeightedSample(particles[b], log_weights[b], weights[b], log_targets[b])
         model, count = Model(unknowns, priors[b], sensors[b]), counts[b]
-        ranks[b, count - 1] = update(cloud, readings[b, :count], model, seeds[b], sweeps)
+        ranks[b, count - 1] = update(sample, readings[b, :count], model, seeds[b], sweeps)
