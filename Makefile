@@ -117,16 +117,19 @@ train: setup
 	mkdir -p agent/bundles
 	for learner in $(LEARNERS); do $(BIN)/python -m agent train $$learner $(FLAGS) && cp runs/train/$$learner-tuned-0/$$learner.zip agent/bundles/ || exit; done
 
+# Flies only the missions that results/ lacks: a file that has all of them stays as it is.
 results: setup
 	mkdir -p results
-	$(BIN)/python -m agent evaluate --assume paper --policy $(POLICIES) --particles 100,500,1000,2000,4000 --missions results/particles.csv.gz --force $(FLAGS)
-	$(BIN)/python -m agent evaluate --assume paper --policy $(POLICIES) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/thresholds.csv.gz --force $(FLAGS)
-	$(BIN)/python -m agent evaluate --assume paper --policy $(LEARNED) --particles 100,500,1000,2000,4000 --missions results/learned-particles.csv.gz --force $(FLAGS)
-	$(BIN)/python -m agent evaluate --assume paper --policy $(LEARNED) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/learned-thresholds.csv.gz --force $(FLAGS)
+	$(BIN)/python -m agent evaluate --assume paper --policy $(POLICIES) --particles 100,500,1000,2000,4000 --missions results/particles.csv.gz --resume $(FLAGS)
+	$(BIN)/python -m agent evaluate --assume paper --policy $(POLICIES) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/thresholds.csv.gz --resume $(FLAGS)
+	$(BIN)/python -m agent evaluate --assume paper --policy $(LEARNED) --particles 100,500,1000,2000,4000 --missions results/learned-particles.csv.gz --resume $(FLAGS)
+	$(BIN)/python -m agent evaluate --assume paper --policy $(LEARNED) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/learned-thresholds.csv.gz --resume $(FLAGS)
 
+# Tables and pictures of docs/results.md, and the figures of the README, from the rows in results/.
 report: setup
 	$(BIN)/python -m agent report --force $(FLAGS)
 	cp report/results.md report/particles.png report/trajectories.png docs/
+	$(BIN)/python -m benchmarks.readme
 
 # Takes hours; if interrupted, run the command again: it resumes.
 mismatch: setup

@@ -19,6 +19,8 @@ from link.bus.session import Bus
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS
 
+# Commands with a module of their own. It is imported only for its command: a service starts fast and knows
+# nothing of trials.
 OTHERS = {
     "evaluate": ("agent.trials.evaluate", "fly many missions in-process and print the policies' figures"),
     "train": ("agent.learn.train.command", "train a policy and write it to a bundle that the agent flies"),
@@ -27,9 +29,6 @@ OTHERS = {
         "draw tables, figures and a page from the missions of `evaluate`",
     ),
 }
-"""Commands with a module of their own. It is imported only for its command: a service starts fast and
-knows nothing of trials.
-"""
 
 
 def _add_policy_arguments(parser: argparse.ArgumentParser, of: str) -> None:

@@ -21,10 +21,8 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 GRAPH, PAGE = "policy.onnx", "bundle.json"
-MOST_BYTES = 64 * 2**20
-"""Most bytes of the graph; a bundle that claims more is refused."""
-MOST_PAGE_BYTES = 4 * 2**20
-"""Most bytes of the page; in memory it takes many times that."""
+MOST_BYTES = 64 * 2**20  # most bytes of the graph; a bundle that claims more is refused
+MOST_PAGE_BYTES = 4 * 2**20  # most bytes of the page; in memory it takes many times that
 MOST_HEADINGS = 1024
 MOST_STEP_M = 10.0
 
@@ -33,7 +31,7 @@ class BundleError(ValueError):
     """The bundle cannot be flown; the text is one line."""
 
 
-class Point(msgspec.Struct, frozen=True):
+class CurvePoint(msgspec.Struct, frozen=True):
     """A point of the training curve: figures over the missions that ended since the previous point."""
 
     steps: int
@@ -52,11 +50,10 @@ class Page(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     observation: Annotated[int, Meta(gt=0, description="numbers in an observation")]
     move: Move
     seed: int
-    training: dict[str, Any]
-    """The recipe: all settings of the training run."""
-    curve: list[Point]
+    training: dict[str, Any]  # the recipe: all settings of the training run
+    curve: list[CurvePoint]
+    # Figures with intervals, by number of particles, in the form of `evaluate`; empty until evaluated.
     evaluation: dict[str, Any]
-    """Figures with intervals, by number of particles, in the form of `evaluate`; empty until evaluated."""
 
 
 class _Format(msgspec.Struct):

@@ -16,12 +16,13 @@ from agent.network import Layer
 Array = NDArray[np.float32]
 OPERATORS = ("Gemm", "Relu", "Tanh")
 MOST_NODES = 100
+# Most multiplications of one decision; those of the shipped policies need 120,000. A weight counts each time
+# that it is used.
 MOST_WORK = 2**24
-"""Most multiplications of one decision; those of the shipped policies need 120,000. A weight counts each
-time that it is used.
-"""
 
 _INT, _STRING, _BYTES, _MESSAGE, _FLOAT = 3, 9, 12, 11, 2
+# The part of ONNX's format (onnx.proto) that is read: name, number and type of each field; * is repeated.
+# Parts that are not looked into are bytes, and all other fields are dropped.
 _FIELDS = {
     "Model": "ir_version:1:i producer_name:2:s graph:7:Graph opset_import:8:b* training_info:20:b* "
     "functions:25:b*",
@@ -39,8 +40,6 @@ _FIELDS = {
     "Tensor": "dims:1:i* data_type:2:i float_data:4:f* name:8:s raw_data:9:b external_data:13:b* "
     "data_location:14:i",
 }
-"""The part of ONNX's format (onnx.proto) that is read: name, number and type of each field; * is repeated.
-Parts that are not looked into are bytes, and all other fields are dropped."""
 
 
 class GraphError(ValueError):

@@ -19,12 +19,9 @@ class Layer(NamedTuple):
     """A layer: Gemm multiplies by weights and adds biases, Relu and Tanh change each number by itself."""
 
     operator: str
-    weights: NDArray[np.float32] = NO_WEIGHTS
-    """(F, A), of a Gemm."""
-    biases: Row = NO_BIASES
-    """(A,)."""
-    scale: float = 1.0
-    """Factor on the products."""
+    weights: NDArray[np.float32] = NO_WEIGHTS  # (F, A), of a Gemm
+    biases: Row = NO_BIASES  # (A,)
+    scale: float = 1.0  # factor on the products
 
 
 @kernel("float32[::1](float32[::1], float32[:, ::1], float32[::1], float32)")

@@ -38,10 +38,11 @@ from plume.sensor import GAUSSIAN
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Observation = NDArray[np.float32]
+# (3,): direction (cos, sin) of the observation's x axis in the world; 1, or −1 if its y axis is mirrored.
 Frame = Array
-"""(3,): direction (cos, sin) of the observation's x axis in the world; 1, or −1 if its y axis is mirrored.
-"""
 
+# The fields of a belief (`link.bus.messages.Belief`) that are used beside its particles; columns of arrays
+# (B, 13).
 FACTS = (
     "x",
     "y",
@@ -57,27 +58,20 @@ FACTS = (
     "diffusivity",
     "lifetime",
 )
-"""The fields of a belief (`link.bus.messages.Belief`) that are used beside its particles; columns of
-arrays (B, 13).
-"""
 X, Y, GAS, MEAN_X, MEAN_Y, XX, _, YY, WIND_X, WIND_Y, RATE, DIFFUSIVITY, LIFETIME = range(len(FACTS))
 
 SECTORS = 16
-RINGS_M = np.array([1.5, 3.0, 5.0, 8.0, 11.5, 15.5, 20.0])
-"""Radii between the rings, m."""
+RINGS_M = np.array([1.5, 3.0, 5.0, 8.0, 11.5, 15.5, 20.0])  # radii between the rings, m
 CELLS = SECTORS * (len(RINGS_M) + 1)
 AHEAD_M = np.array([2.0, 5.0])
 HEADINGS = 16
-OUTSIDE = 0.05
-"""Factor on the weights of particles outside the square in which sources are drawn."""
-FEW = 128
-"""Number of particles for the information gains, drawn by systematic resampling."""
-NUMBERS = 24
-"""Numbers of a polar observation after the cells and the headings."""
+OUTSIDE = 0.05  # factor on the weights of particles outside the square in which sources are drawn
+FEW = 128  # number of particles for the information gains, drawn by systematic resampling
+NUMBERS = 24  # numbers of a polar observation after the cells and the headings
 POLAR = CELLS + HEADINGS * len(AHEAD_M) + NUMBERS
 PAPER = 5
+# Numbers computed from FACTS are clipped to ±BOUND; only worlds unlike any in training exceed it.
 BOUND = 10.0
-"""Numbers computed from FACTS are clipped to ±BOUND; only worlds unlike any in training exceed it."""
 
 STEEPNESS = GAUSSIAN.sensor_noise / GAUSSIAN.environment_noise  # α/β
 INVERSE_NOISE_SQUARED = 1 / (GAUSSIAN.sensor_noise * GAUSSIAN.sensor_noise)  # 1/α²
@@ -323,12 +317,11 @@ class Schema:
     """An observation of a belief. Any change of its numbers needs a new version."""
 
     version: int
-    size: int
-    """Numbers in an observation."""
+    size: int  # numbers in an observation
     _see: Callable[[Array, Array, Array, Array, Frame, Observation], None]
+    # Fills the last two arguments for the given missions: (particles (B, 2, N), weights (B, N), their sums
+    # (B,), facts (B, 13), missions (M,), frames (B, 3), observations (B, size)).
     see_missions: Callable[[Array, Array, Array, Array, Indices, Array, NDArray[np.float32]], None]
-    """Fills the last two arguments for the given missions: (particles (B, 2, N), weights (B, N), their
-    sums (B,), facts (B, 13), missions (M,), frames (B, 3), observations (B, size))."""
 
     def see(self, belief: Belief, particles: Particles) -> tuple[Observation, Frame]:
         """Return the observation of a belief, (size,), and its frame, in which actions are meant too."""

@@ -21,23 +21,20 @@ from link.bus.messages import Belief, Particles
 from plume.randomness import keyed
 from plume.scenario import AREA_M
 
+# (belief, particles, how it may move, keyed randomness) -> the next waypoint (x, y) m.
 Policy = Callable[[Belief, Particles, Reach, np.random.Generator], Sequence[float]]
-"""(belief, particles, how it may move, keyed randomness) -> the next waypoint (x, y) m."""
 
+# What each shipped bundle is.
 LEARNED = {
     "ppo": "Learned by proximal policy optimisation (PPO): steps in 16 headings.",
     "dqn": "Learned by deep Q-learning (DQN): steps in 16 headings.",
     "ddpg": "Learned by deep deterministic policy gradient (DDPG): a heading and a step of up to 1 m.",
 }
-"""What each shipped bundle is."""
+# Learned policies that come with the project, made by `make train`.
 SHIPPED = {name: Path(__file__).parent / "bundles" / f"{name}.zip" for name in LEARNED}
-"""Learned policies that come with the project, made by `make train`."""
-OURS = (*PLANNERS, *SHIPPED)
-"""The policies of the project, in the order of its tables."""
-DEFAULT = "homing"
-"""The best policy that needs no training."""
-PLUGINS = "plumeward.policies"
-"""Entry points of this group are policies of other packages: docs/policies.md."""
+OURS = (*PLANNERS, *SHIPPED)  # the policies of the project, in the order of its tables
+DEFAULT = "homing"  # the best policy that needs no training
+PLUGINS = "plumeward.policies"  # entry points of this group are policies of other packages: docs/policies.md
 
 
 class PolicyError(ValueError):

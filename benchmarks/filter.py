@@ -43,12 +43,11 @@ def ours(seed: int, count: int, rows: Array) -> tuple[list[float], list[bool]]:
     """(Seconds of each update of a mission, True for each update that resampled and moved)."""
     config = config_of(seed, count)
     p = prior(config)
-    model = (config.unknown_indices, config.prior_rows, config.sensor_row, seed, config.sweeps)
     times, moved = [], []
     for t in range(1, len(rows) + 1):
         first = p.particles[0, 0], p.particles[0, -1]
         began = time.perf_counter()
-        update(p.particles, p.log_weights, p.weights, p.log_targets, rows[:t], *model)
+        update(p.sample, rows[:t], config.model, seed, config.sweeps)
         times.append(time.perf_counter() - began)
         moved.append(first != (p.particles[0, 0], p.particles[0, -1]))
     return times, moved
@@ -73,7 +72,7 @@ def limit(seed: int, count: int, rows: Array) -> float:
     times = []
     for row in np.repeat(rows, 20, axis=0):
         began = time.perf_counter()
-        log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, row)
+        log_likelihoods(particles, config.model, row)
         times.append(time.perf_counter() - began)
     return float(np.median(times))
 

@@ -16,7 +16,6 @@ import csv
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -26,8 +25,7 @@ import numpy as np
 from agent.policies import policy
 from agent.trials.evaluate import FIRST_TEST_SEED, KEPT_IN, read_csv, write_csv
 from agent.trials.figures import COLUMNS, UNKNOWN, MissionRow, cell, figures, wilson
-from agent.trials.progress import with_bar
-from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
+from agent.trials.sweep import Sweep, flown, journal_of, on_cores
 from agent.trials.workers import WorkerLost
 from estimator.criterion import Criterion
 from link import cli
@@ -75,21 +73,14 @@ Said = Mapping[tuple[str, str, str, str], dict[str, Any]]
 """`figures` by (assumption, policy, world, stop criterion)."""
 
 
-def fly(flown: Cell, seeds: range, workers: int) -> tuple[list[MissionRow], Path]:
+def fly(cell: Cell, seeds: range, workers: int) -> tuple[list[MissionRow], Path]:
     """Fly the missions of a cell as `evaluate` does; returns their rows, and the journal that an
     interrupted call leaves.
     """
-    assume, name, world = flown
+    assume, name, world = cell
     sweep = Sweep((name,), seeds, (PARTICLES,), STOPS, BUDGET, knowledge={"assume": assume}, worlds=(world,))
     journal = journal_of(sweep, KEPT_IN)
-    rows: list[MissionRow] = []
-    what = f"missions of {', '.join(flown)}"
-    with closing(
-        with_bar(fly_all(sweep, journal, on_cores(workers)), sweep.count, what, "starting")
-    ) as flights:
-        for each in flights:
-            rows += each
-    return ordered(rows, sweep), journal
+    return flown(sweep, journal, on_cores(workers), f"missions of {', '.join(cell)}", "starting"), journal
 
 
 def read(results: Path) -> Rows:

@@ -11,10 +11,9 @@ from plume.elementary import exp
 from plume.parameters import GREATEST_CV, PARAMETERS
 from plume.sensor import Hits, Sensor
 
+# No instrument has measured more outside of tornadoes: 113 m/s on Barrow Island (WMO, 1996).
 STRONGEST_WIND_MPS = 120.0
-"""No instrument has measured more outside of tornadoes: 113 m/s on Barrow Island (WMO, 1996)."""
-HIGHEST_M = 10_000.0
-"""Altitude above or below home. Drones fly lower, and gas is nowhere near."""
+HIGHEST_M = 10_000.0  # altitude above or below home. Drones fly lower, and gas is nowhere near.
 
 
 def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[str, str] | None:

@@ -8,36 +8,34 @@ from estimator.priors import Fixed, LogNormal, Normal, Prior
 from plume.parameters import PARAMETERS
 from plume.sensor import Gaussian, Hits, Sensor
 
+# The assumptions, and one line about each.
 ASSUMPTIONS: Mapping[str, str] = {
     "paper": "all but the source's position x, y is known",
     "field": "wind, release rate, lifetime, noise and the gas's intermittency are known roughly; each has a "
     "prior",
 }
-"""The assumptions, and one line about each."""
 
+# A compass and an anemometer on a drone are each wrong by several degrees, and the wind that carries the gas
+# differs from that at the drone. Two thirds of missions within 20° covers that.
 WIND_DIRECTION_STD_DEG = 20.0
-"""A compass and an anemometer on a drone are each wrong by several degrees, and the wind that carries the
-gas differs from that at the drone. Two thirds of missions within 20° covers that."""
+# Two thirds of missions within a factor of 1.65. Rotors disturb an anemometer on board, and a station is at
+# another height: 0.3. Only speed by diffusivity shapes the plume, so the factor stands for a wrong
+# diffusivity, too: 0.4. Both add in quadrature.
 WIND_SPEED_SIGMA = 0.5
-"""Two thirds of missions within a factor of 1.65. Rotors disturb an anemometer on board, and a station is
-at another height: 0.3. Only speed by diffusivity shapes the plume, so the factor stands for a wrong
-diffusivity, too: 0.4. Both add in quadrature."""
+# Two thirds within a factor of 2: leak rates are estimated by their order of magnitude, from a hole and a
+# pressure. A wrong gain of the sensor is the same as a wrong rate, so this covers it.
 RATE_SIGMA = 0.7
-"""Two thirds within a factor of 2: leak rates are estimated by their order of magnitude, from a hole and a
-pressure. A wrong gain of the sensor is the same as a wrong rate, so this covers it."""
+# Two thirds within a factor of 2: how fast gas rises, deposits or reacts is tabulated for other weather.
 LIFETIME_SIGMA = 0.7
-"""Two thirds within a factor of 2: how fast gas rises, deposits or reacts is tabulated for other weather.
-"""
+# Two thirds within a factor of 1.65: sensors age, and data sheets quote noise in still, dry air.
 NOISE_SIGMA = 0.5
-"""Two thirds within a factor of 1.65: sensors age, and data sheets quote noise in still, dry air."""
+# Half-normal: open plumes have been measured with fluctuations of half to twice their mean, less where a
+# sensor averages; steady gas stays the most likely value.
 CV_STD = 1.2
-"""Half-normal: open plumes have been measured with fluctuations of half to twice their mean, less where a
-sensor averages; steady gas stays the most likely value."""
 
+# Absolute priors of the wind: the measured value is then ignored, so an error of its measurement means
+# nothing.
 REPLACED = {"u": "wind-speed", "phi": "wind-direction"}
-"""Absolute priors of the wind: the measured value is then ignored, so an error of its measurement means
-nothing.
-"""
 
 
 def effective_priors(

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from estimator.belief import evidence, fit, locates, may_claim, sure_enough
 from estimator.filter import Config, Posterior, prior
-from estimator.kernels.update import update_missions
+from estimator.kernels.densities import Model
+from estimator.kernels.update import WeightedSample, update_missions
 from estimator.kernels.weights import moments_of_missions
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+# Most missions that a thread takes at once; small portions balance the load, since missions differ much in
+# cost.
 MISSIONS_PER_TASK = 8
-"""Most missions that a thread takes at once; small portions balance the load, since missions differ much
-in cost.
-"""
 
 
 class Batch:
@@ -34,25 +34,17 @@ class Batch:
         """
         first, count = configs[0], len(configs)
         rows, particles = len(first.unknown_indices), first.particles
-        self.particles = np.empty((count, rows, particles))
-        self.weights = np.empty((count, particles))
-        """(B, N); the greatest of each mission is 1."""
         self.means = np.empty((count, rows))
         self.covariances = np.empty((count, rows, rows))
-        self.counts = np.zeros(count, np.int64)
-        """(B,): number of readings that each mission has assimilated."""
-        self._log_weights = np.empty((count, particles))
-        self._log_targets = np.empty((count, particles))
-        self._readings = np.empty((count, 64, 7))
-        self._ranks = np.empty((count, 64))
-        self._priors = np.empty((count, *first.prior_rows.shape))
-        self._sensors = np.empty((count, len(first.sensor_row)))
+        self.counts = np.zeros(count, np.int64)  # of the readings that each mission has assimilated
+        self._samples = WeightedSample(np.empty((count, rows, particles)), *np.empty((3, count, particles)))
+        self._models = Model(
+            first.unknown_indices, np.empty((count, *first.prior_rows.shape)), np.empty((count, 5))
+        )
         self._seeds = np.empty(count, np.uint64)
-        self._unknowns = first.unknown_indices
-        self._sweeps = first.sweeps
+        self._readings, self._ranks = np.empty((count, 64, 7)), np.empty((count, 64))
         self._configs = list(configs)
-        self._threads = threads
-        self._pool = ThreadPoolExecutor(threads)
+        self._threads, self._pool = threads, ThreadPoolExecutor(threads)
         for mission, config in enumerate(configs):
             self.begin(mission, config)
 
@@ -65,16 +57,20 @@ class Batch:
             raise ValueError(
                 "all missions of a batch must have the same number of particles and the same unknowns"
             )
-        posterior = prior(config)
-        self.particles[mission] = posterior.particles
-        self.weights[mission] = posterior.weights
-        self.counts[mission] = 0
-        self._log_weights[mission] = posterior.log_weights
-        self._log_targets[mission] = posterior.log_targets
-        self._priors[mission] = config.prior_rows
-        self._sensors[mission] = config.sensor_row
-        self._seeds[mission] = config.seed
-        self._configs[mission] = config
+        for stacked, array in zip(self._samples, prior(config).sample, strict=True):
+            stacked[mission] = array
+        self._models.priors[mission], self._models.sensor[mission] = config.model.priors, config.model.sensor
+        self.counts[mission], self._seeds[mission], self._configs[mission] = 0, config.seed, config
+
+    @property
+    def particles(self) -> Array:
+        """(B, D, N)."""
+        return self._samples.particles
+
+    @property
+    def weights(self) -> Array:
+        """(B, N); the greatest of each mission is 1."""
+        return self._samples.weights
 
     def assimilate(self, readings: Array, missions: Indices | None = None) -> None:
         """Assimilate one reading for each of these missions (M,), by default all. readings: (M, 7), rows
@@ -89,18 +85,13 @@ class Batch:
 
         def update(portion: Indices) -> None:
             update_missions(
-                self.particles,
-                self._log_weights,
-                self.weights,
-                self._log_targets,
+                self._samples,
                 self._readings,
                 self._ranks,
                 self.counts,
-                self._unknowns,
-                self._priors,
-                self._sensors,
+                self._models,
                 self._seeds,
-                self._sweeps,
+                self._configs[0].sweeps,
                 portion,
             )
             moments_of_missions(self.particles, self.weights, portion, self.means, self.covariances)
@@ -122,37 +113,23 @@ class Batch:
 
     def may_claim(self, mission: int) -> bool:
         """True if the mission may claim a find, as by `estimator.belief.may_claim`."""
-        count, config = self.counts[mission], self._configs[mission]
-        readings = self._readings[mission, :count]
-        p_value = fit(readings, self._ranks[mission, :count], config)
-        better = evidence(
-            self.particles[mission], self.weights[mission], self._log_targets[mission], readings, config
-        )
-        return may_claim(p_value, better, int(count))
+        said, config = self._view(mission), self._configs[mission]
+        better = evidence(said.particles, said.weights, said.log_targets, said.readings, config)
+        return may_claim(fit(said.readings, said.ranks, config), better, len(said.readings))
 
     def has_ceased(self, mission: int) -> bool:
         """Whether the mission's belief has ceased, as by `estimator.belief.belief`."""
-        config, covariance = self._configs[mission], self.covariances[mission]
-        (xx, _), (_, yy) = covariance[:2, :2].tolist()
-        spread, ranks = math.sqrt(xx + yy), self._ranks[mission, : self.counts[mission]]
-        located = locates(
-            spread, self.particles[mission], self.weights[mission], self.means[mission], ranks, config
-        )
-        stds = (
-            dict(zip(config.unknowns, np.sqrt(covariance.diagonal()).tolist(), strict=True))
-            if config.stop_limits
-            else {}
-        )
+        said, config, covariance = self._view(mission), self._configs[mission], self.covariances[mission]
+        spread, means = math.sqrt(covariance[0, 0] + covariance[1, 1]), self.means[mission]
+        located = locates(spread, said.particles, said.weights, means, said.ranks, config)
+        stds = dict(zip(config.unknowns, np.sqrt(covariance.diagonal()).tolist(), strict=True))
         return sure_enough(located, stds, config) and self.may_claim(mission)
 
     def posterior(self, mission: int) -> Posterior:
         """Return a copy of one mission's posterior."""
-        count = self.counts[mission]
-        return Posterior(
-            self.particles[mission].copy(),
-            self._log_weights[mission].copy(),
-            self.weights[mission].copy(),
-            self._log_targets[mission].copy(),
-            self._readings[mission, :count].copy(),
-            self._ranks[mission, :count].copy(),
-        )
+        return Posterior(*(array.copy() for array in vars(self._view(mission)).values()))
+
+    def _view(self, mission: int) -> Posterior:
+        """Return a mission's posterior, which changes with the batch."""
+        count, sample = self.counts[mission], WeightedSample(*(stacked[mission] for stacked in self._samples))
+        return Posterior(*sample, self._readings[mission, :count], self._ranks[mission, :count])

@@ -22,8 +22,8 @@ FEWEST = 8
 INCOMPATIBLE = 1e-4
 """Below this p-value the readings do not fit the model: there is no stop."""
 CLEAR = 5.0
-"""A stop is declared only if the plume explains the readings by so many nats better than a sensor that
-shows one value plus noise.
+"""Least evidence for a stop, nats: how much better a plume explains the readings than a sensor that shows
+one value plus noise.
 """
 RUN = 20
 """Number of recent readings in which `stretch` looks for neighbours that are alike: a search has few more
@@ -51,10 +51,8 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     means[config.unknown_indices] = unknown_means
     covariance[np.ix_(config.unknown_indices, config.unknown_indices)] = unknown_covariance
-    mean, std = (
-        dict(zip(PARAMETERS, means.tolist(), strict=True)),
-        dict(zip(PARAMETERS, np.sqrt(covariance.diagonal()).tolist(), strict=True)),
-    )
+    mean = dict(zip(PARAMETERS, means.tolist(), strict=True))
+    std = dict(zip(PARAMETERS, np.sqrt(covariance.diagonal()).tolist(), strict=True))
     (xx, xy), (_, yy) = covariance[:2, :2].tolist()
     spread = math.sqrt(xx + yy)
     located = locates(spread, posterior.particles, posterior.weights, unknown_means, posterior.ranks, config)
@@ -113,9 +111,9 @@ def evidence(particles: Array, weights: Array, log_targets: Array, readings: Arr
     them. A sensor that hums at one value fits a distant source with a wide plume, so the model check is
     silent; but then this is near 0 or below. Arguments as in `Posterior`.
     """
-    log_likelihoods = log_targets - log_priors(particles, config.unknown_indices, config.prior_rows)
+    log_likelihoods = log_targets - log_priors(particles, config.model)
     return float(
-        weighted_mean(weights, log_likelihoods) - log_likelihood_of_one_value(readings, config.sensor_row)
+        weighted_mean(weights, log_likelihoods) - log_likelihood_of_one_value(readings, config.model.sensor)
     )
 
 
@@ -127,9 +125,7 @@ def may_claim(p_value: float, better: float, readings: int) -> bool:
 
 
 def met(posterior: Posterior, said: Belief, config: Config) -> bool:
-    """True if the belief `said` of this posterior ceases with the criterion of `config`, whichever one
-    `said` was made with.
-    """
+    """Whether this belief meets the stop criterion of `config`, even if it was computed under another."""
     located = locates(
         said.spread, posterior.particles, posterior.weights, np.array(said.means), posterior.ranks, config
     )

@@ -10,12 +10,10 @@ FORMS = "spread:Z, metres, or within:R,P, metres and a share"
 class Criterion(NamedTuple):
     """A stop criterion: the paper's, or with `within` the other."""
 
-    threshold_m: float = USUAL_THRESHOLD_M
-    """ζ: the spread of the belief is below it."""
+    threshold_m: float = USUAL_THRESHOLD_M  # ζ: the spread of the belief is below it
+    # (R, P): at least the share P of the belief's weight lies within R metres of the estimate. None: the
+    # spread decides.
     within: tuple[float, float] | None = None
-    """(R, P): at least the share P of the belief's weight lies within R metres of the estimate. None: the
-    spread decides.
-    """
 
     @property
     def text(self) -> str:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from estimator import priors
 from estimator.assumptions import effective_priors
 from estimator.criterion import Criterion
-from estimator.kernels.densities import log_priors
-from estimator.kernels.update import update
+from estimator.kernels.densities import Model, log_priors
+from estimator.kernels.update import WeightedSample, update
 from estimator.priors import Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS
@@ -119,9 +119,9 @@ class Config:
         return tuple(PARAMETERS[index] for index in self.unknown_indices)
 
     @cached_property
-    def sensor_row(self) -> Array:
-        """(5,): the sensor as the kernels take it."""
-        return sensor_row(self.sensor)
+    def model(self) -> Model:
+        """Unknowns, priors and sensor as the kernels take them."""
+        return Model(self.unknown_indices, self.prior_rows, sensor_row(self.sensor))
 
     @cached_property
     def sensor_text(self) -> str:
@@ -170,6 +170,11 @@ class Posterior:
     """(T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right.
     """
 
+    @property
+    def sample(self) -> WeightedSample:
+        """The arrays that `update` changes."""
+        return WeightedSample(self.particles, self.log_weights, self.weights, self.log_targets)
+
 
 def prior(config: Config) -> Posterior:
     """Return the belief before any reading: N particles of equal weight, drawn from the priors of
@@ -181,7 +186,7 @@ def prior(config: Config) -> Posterior:
     """
     count = config.particles
     particles = priors.draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
-    log_targets = log_priors(particles, config.unknown_indices, config.prior_rows)
+    log_targets = log_priors(particles, config.model)
     return Posterior(particles, np.zeros(count), np.ones(count), log_targets, np.empty((0, 7)), np.empty(0))
 
 
@@ -205,21 +210,7 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
         print(said.mean, said.spread)
         ```
     """
-    particles, log_weights, weights, log_targets = (
-        array.copy()
-        for array in (posterior.particles, posterior.log_weights, posterior.weights, posterior.log_targets)
-    )
+    sample = WeightedSample(*(array.copy() for array in posterior.sample))
     readings = np.vstack([posterior.readings, config.row(reading)])
-    rank = update(
-        particles,
-        log_weights,
-        weights,
-        log_targets,
-        readings,
-        config.unknown_indices,
-        config.prior_rows,
-        config.sensor_row,
-        config.seed,
-        config.sweeps,
-    )
-    return Posterior(particles, log_weights, weights, log_targets, readings, np.append(posterior.ranks, rank))
+    rank = update(sample, readings, config.model, config.seed, config.sweeps)
+    return Posterior(*sample, readings, np.append(posterior.ranks, rank))

@@ -16,8 +16,7 @@ from plume.parameters import PARAMETERS
 from plume.randomness import keyed
 from plume.scenario import AREA_M
 
-TRIED = 1000
-"""Values that are drawn of a prior before it is taken: a service then need not refuse it."""
+TRIED = 1000  # values that are drawn of a prior before it is taken: a service then need not refuse it
 
 
 def add_sensor_argument(parser: argparse.ArgumentParser) -> None:

@@ -5,8 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from plume.elementary import exp
 
-SOURCE_RADIUS_M = 0.1
-"""Radius of the source: shorter distances are clamped to it."""
+SOURCE_RADIUS_M = 0.1  # Radius of the source: shorter distances are clamped to it
 
 
 def concentration(

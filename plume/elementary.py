@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 LOG2_E = 1.4426950408889634
+# ln 2 in two parts; a whole number below 2^20 times the first one is exact.
 LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
-"""ln 2 in two parts; a whole number below 2^20 times the first one is exact."""
 SQRT_HALF = 0.7071067811865476
 
 

@@ -20,18 +20,13 @@ from plume.parameters import GREATEST_CV
 
 Array = NDArray[np.float64]
 
-CVS, MODES = 60, 64
-"""Cells of the table over cv from 0 to GREATEST_CV and over v from 0 to 1."""
-SMALLEST_CV = 0.01
-"""Gas is treated as at least so intermittent here: a hundredth of the mean is far below every noise."""
-SMALLEST_MEAN = 1e-6
-"""Means are treated as at least so large, in standard deviations of the noise."""
-NODES = 600
-"""Nodes of the integrals behind the table."""
+CVS, MODES = 60, 64  # cells of the table over cv from 0 to GREATEST_CV and over v from 0 to 1
+SMALLEST_CV = 0.01  # least intermittency: a hundredth of the mean is far below every noise
+SMALLEST_MEAN = 1e-6  # least mean, in standard deviations of the noise
+NODES = 600  # nodes of the integrals behind the table
+# The distribution function sums over concentrations: of BODY shares of 5% each, and of TAIL shares, each half
+# of what is left.
 BODY, TAIL = 18, 12
-"""The distribution function sums over concentrations: of BODY shares of 5% each, and of TAIL shares, each
-half of what is left.
-"""
 
 
 @numba.njit(error_model="numpy")
@@ -108,8 +103,8 @@ def _concentrations() -> Array:
 
 CORRECTIONS = _corrections()
 CONCENTRATIONS = _concentrations()
+# The share of the gas that each concentration stands for.
 SHARES = np.array([0.05] * BODY + [0.05 * 0.5**cell for cell in range(TAIL - 1)] + [0.1 * 0.5 ** (TAIL - 1)])
-"""The share of the gas that each concentration stands for."""
 
 
 @numba.njit(error_model="numpy")

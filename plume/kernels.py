@@ -37,15 +37,12 @@ from plume.parameters import (
 
 Array = NDArray[np.float64]
 
-NOISES, CVS = 9, 10
-"""Rows of `derive` for the noise: the square of its factor, and the gas's intermittency."""
+NOISES, CVS = 9, 10  # rows of `derive` for the noise: the square of its factor, and the gas's intermittency
 RADIANS = math.pi / 180
+# Number of rows that `derive` fills: x, y, z, gain q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ, noise², cv.
+#
+# If the wind is measured, u is the factor on its speed and φ the offset of its direction.
 DERIVED = 11
-"""Number of rows that `derive` fills: x, y, z, gain q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ, noise²,
-cv.
-
-If the wind is measured, u is the factor on its speed and φ the offset of its direction.
-"""
 
 
 @numba.njit(error_model="numpy")

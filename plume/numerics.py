@@ -25,6 +25,27 @@ ROUNDER_BITS = 0x4338000000000000
 SQRT_HALF = 0.7071067811865476
 SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
 
+# Coefficients of polynomials, the highest power first.
+EXP = (
+    *(1 / 479001600, 1 / 39916800, 1 / 3628800, 1 / 362880, 1 / 40320, 1 / 5040, 1 / 720, 1 / 120, 1 / 24),
+    *(1 / 6, 0.5, 1.0, 1.0),
+)
+LOG = (2 / 19, 2 / 17, 2 / 15, 2 / 13, 2 / 11, 2 / 9, 2 / 7, 2 / 5, 2 / 3, 2.0)
+COS = (
+    *(1 / 20922789888000, -1 / 87178291200, 1 / 479001600, -1 / 3628800, 1 / 40320, -1 / 720, 1 / 24),
+    *(-0.5, 1.0),
+)
+SIN = (-1 / 1307674368000, 1 / 6227020800, -1 / 39916800, 1 / 362880, -1 / 5040, 1 / 120, -1 / 6, 1.0)
+ERFC = (
+    *(-3.3888695546308687e-10, 1.2051665995883637e-09, 1.2284536350186566e-09, -9.744756625932259e-09),
+    *(6.353864669505139e-09, 2.9041985444209086e-08, -5.760146697175624e-08, -1.6982724012935667e-09),
+    *(1.6491163111184633e-07, -2.855481823834117e-07, -3.0587196456747096e-09, 1.00091858626541e-06),
+    *(-1.8208078384029821e-06, -5.628166935192924e-07, 8.060040491028146e-06, -1.0848057268891096e-05),
+    *(-1.7074336530735702e-05, 7.223535061438543e-05, -1.7185737594548938e-05, -0.00033153674761946043),
+    *(0.0004186480332964868, 0.0015453060290576436, -0.0032395925339865133, -0.010755330944716365),
+    *(0.018221115753442495, 0.13973604627802688, 0.34358034220690525, 0.5107913526210115),
+)
+
 
 def _to_bits(_context: Any, _value: Any) -> Any:
     return numba.int64(numba.float64), lambda _c, builder, _s, args: builder.bitcast(args[0], ir.IntType(64))
@@ -35,17 +56,24 @@ def _to_float(_context: Any, _value: Any) -> Any:
 
 
 def _to_fused(_context: Any, _a: Any, _b: Any, _c: Any) -> Any:
-    return numba.float64(
-        numba.float64, numba.float64, numba.float64
-    ), lambda _x, builder, _s, args: builder.fma(*args)
+    double = numba.float64
+    return double(double, double, double), lambda _c, builder, _s, args: builder.fma(*args)
 
 
-fma: Any = intrinsic(_to_fused)
-"""a · b + c, rounded once; bit-identical on processors without the instruction."""
-bits_of: Any = intrinsic(_to_bits)
-"""The 64 bits of a float as an integer."""
-float_of: Any = intrinsic(_to_float)
-"""The float with these 64 bits."""
+def _to_polynomial(_context: Any, _x: Any, coefficients: Any) -> Any:
+    def horner(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        result, *others = (builder.extract_value(args[1], power) for power in range(len(coefficients)))
+        for coefficient in others:
+            result = builder.fma(result, args[0], coefficient)
+        return result
+
+    return numba.float64(numba.float64, coefficients), horner
+
+
+fma: Any = intrinsic(_to_fused)  # a · b + c, rounded once; bit-identical without the instruction, too
+polynomial: Any = intrinsic(_to_polynomial)  # (x, coefficients): by Horner's rule with `fma`
+bits_of: Any = intrinsic(_to_bits)  # the 64 bits of a float as an integer
+float_of: Any = intrinsic(_to_float)  # the float with these 64 bits
 
 
 @numba.njit(error_model="numpy")
@@ -55,19 +83,7 @@ def exp(x: float) -> float:
     shifted = fma(x, LOG2_E, ROUNDER)
     whole = shifted - ROUNDER
     r = fma(whole, -LN2_LOW, fma(whole, -LN2_HIGH, x))
-    p = fma(r, 1 / 479001600, 1 / 39916800)
-    p = fma(p, r, 1 / 3628800)
-    p = fma(p, r, 1 / 362880)
-    p = fma(p, r, 1 / 40320)
-    p = fma(p, r, 1 / 5040)
-    p = fma(p, r, 1 / 720)
-    p = fma(p, r, 1 / 120)
-    p = fma(p, r, 1 / 24)
-    p = fma(p, r, 1 / 6)
-    p = fma(p, r, 0.5)
-    p = fma(p, r, 1.0)
-    p = fma(p, r, 1.0)
-    result: float = p * float_of((bits_of(shifted) - ROUNDER_BITS + 1023) << 52)
+    result: float = polynomial(r, EXP) * float_of((bits_of(shifted) - ROUNDER_BITS + 1023) << 52)
     return result
 
 
@@ -81,15 +97,7 @@ def log(x: float) -> float:
     f: float = float_of(bits - (exponent << 52)) - 1.0
     s = f / (2.0 + f)
     z = s * s
-    p = fma(z, 2 / 19, 2 / 17)
-    p = fma(p, z, 2 / 15)
-    p = fma(p, z, 2 / 13)
-    p = fma(p, z, 2 / 11)
-    p = fma(p, z, 2 / 9)
-    p = fma(p, z, 2 / 7)
-    p = fma(p, z, 2 / 5)
-    p = fma(p, z, 2 / 3)
-    result: float = float(exponent) * LN2_HIGH + (s * fma(p, z, 2.0) + float(exponent) * LN2_LOW)
+    result: float = float(exponent) * LN2_HIGH + (s * polynomial(z, LOG) + float(exponent) * LN2_LOW)
     return result
 
 
@@ -101,9 +109,8 @@ def log1p(x: float) -> float:
     return result
 
 
-@numba.njit(
-    error_model="numpy", forceinline=True
-)  # LLVM finds it too long to inline, and then cannot vectorise
+# Inlined by force: LLVM finds it too long, and then cannot vectorise.
+@numba.njit(error_model="numpy", forceinline=True)
 def erfc(x: float) -> float:
     """The complementary error function, with a relative error of at most 4e-16 (1 + x²); 0 where it is
     below 1e-307.
@@ -114,34 +121,7 @@ def erfc(x: float) -> float:
     size = abs(x)
     t = 1 / (1 + 0.5 * size)
     s = 2 * t - 1
-    p = fma(s, -3.3888695546308687e-10, 1.2051665995883637e-09)
-    p = fma(p, s, 1.2284536350186566e-09)
-    p = fma(p, s, -9.744756625932259e-09)
-    p = fma(p, s, 6.353864669505139e-09)
-    p = fma(p, s, 2.9041985444209086e-08)
-    p = fma(p, s, -5.760146697175624e-08)
-    p = fma(p, s, -1.6982724012935667e-09)
-    p = fma(p, s, 1.6491163111184633e-07)
-    p = fma(p, s, -2.855481823834117e-07)
-    p = fma(p, s, -3.0587196456747096e-09)
-    p = fma(p, s, 1.00091858626541e-06)
-    p = fma(p, s, -1.8208078384029821e-06)
-    p = fma(p, s, -5.628166935192924e-07)
-    p = fma(p, s, 8.060040491028146e-06)
-    p = fma(p, s, -1.0848057268891096e-05)
-    p = fma(p, s, -1.7074336530735702e-05)
-    p = fma(p, s, 7.223535061438543e-05)
-    p = fma(p, s, -1.7185737594548938e-05)
-    p = fma(p, s, -0.00033153674761946043)
-    p = fma(p, s, 0.0004186480332964868)
-    p = fma(p, s, 0.0015453060290576436)
-    p = fma(p, s, -0.0032395925339865133)
-    p = fma(p, s, -0.010755330944716365)
-    p = fma(p, s, 0.018221115753442495)
-    p = fma(p, s, 0.13973604627802688)
-    p = fma(p, s, 0.34358034220690525)
-    p = fma(p, s, 0.5107913526210115)
-    tail = t * p * exp(-size * size) if size < 26.5 else 0.0
+    tail = t * polynomial(s, ERFC) * exp(-size * size) if size < 26.5 else 0.0
     result: float = tail if x >= 0 else 2.0 - tail
     return result
 
@@ -201,21 +181,7 @@ def direction(turns: float) -> tuple[float, float]:
     quarter = float(int(4 * turns))
     x = (4 * turns - quarter - 0.5) * (np.pi / 2)
     z = x * x
-    c = fma(z, 1 / 20922789888000, -1 / 87178291200)
-    c = fma(c, z, 1 / 479001600)
-    c = fma(c, z, -1 / 3628800)
-    c = fma(c, z, 1 / 40320)
-    c = fma(c, z, -1 / 720)
-    c = fma(c, z, 1 / 24)
-    c = fma(c, z, -0.5)
-    c = fma(c, z, 1.0)
-    s = fma(z, -1 / 1307674368000, 1 / 6227020800)
-    s = fma(s, z, -1 / 39916800)
-    s = fma(s, z, 1 / 362880)
-    s = fma(s, z, -1 / 5040)
-    s = fma(s, z, 1 / 120)
-    s = fma(s, z, -1 / 6)
-    s = fma(s, z, 1.0) * x
+    c, s = polynomial(z, COS), polynomial(z, SIN) * x
     a, b = (c - s) * SQRT_HALF, (c + s) * SQRT_HALF  # turned by π/4: the middle of the first quarter
     one, two = (a, b) if quarter == 0.0 or quarter == 2.0 else (-b, a)
     return (one, two) if quarter < 2.0 else (-one, -two)

@@ -37,7 +37,7 @@ class Outcome(msgspec.Struct, frozen=True):
     estimate: tuple[float, float]
     source: tuple[float, float] | None
     scenario: Scenario | None
-    """The truth; in most worlds it is not what the estimator was told."""
+    """The truth; in most worlds it differs from what the estimator assumes."""
     error_m: float | None
     spread_m: float
     steps: int
@@ -119,7 +119,7 @@ def outcome_text(result: Outcome) -> str:
 
 
 def assumed_text(assume: str, stop: str, world: str) -> str:
-    """One line for people: what the estimator took to be known, when it stops, and the world if that is
-    not the one it was told of.
+    """One line for people: what the estimator took to be known, when it stops, and the world if it differs
+    from the model.
     """
     return f"assumed  {assume}, stop {stop}" + ("" if world == AS_MODELLED else f", world {world}")

@@ -2,6 +2,12 @@
 knowledge about each.
 """
 
+# Of the release: position m (z above home), release rate g/s, wind m/s and rad, diffusivity m²/s, lifetime s.
+#
+# Of what measures it: `wind-direction` is what has to be added to the measured direction, degrees
+# counter-clockwise; `wind-speed` and `gain` are factors, true speed by measured speed and reading by
+# concentration; `noise` is a factor on the sensor's noise; `cv` is the gas's intermittency, the coefficient
+# of variation of the concentration around the plume's mean.
 PARAMETERS = (
     "x",
     "y",
@@ -17,23 +23,15 @@ PARAMETERS = (
     "noise",
     "cv",
 )
-"""Of the release: position m (z above home), release rate g/s, wind m/s and rad, diffusivity m²/s,
-lifetime s.
-
-Of what measures it: `wind-direction` is what has to be added to the measured direction, degrees
-counter-clockwise; `wind-speed` and `gain` are factors, true speed by measured speed and reading by
-concentration; `noise` is a factor on the sensor's noise; `cv` is the gas's intermittency, the coefficient
-of variation of the concentration around the plume's mean.
-"""
 X, Y, Z, Q, U, PHI, D, TAU, WIND_DIRECTION, WIND_SPEED, GAIN, NOISE, CV = range(13)
+# Values of a faultless anemometer and sensor.
 NEUTRAL = {"wind-direction": 0.0, "wind-speed": 1.0, "gain": 1.0, "noise": 1.0}
-"""Values of a faultless anemometer and sensor."""
+# Kinds of knowledge about a parameter: known value, family of its prior, or measured with each reading
+# (wind).
 KNOWN, UNIFORM, NORMAL, GAMMA, MEASURED, LOGNORMAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
-"""Kinds of knowledge about a parameter: known value, family of its prior, or measured with each reading
-(wind).
-"""
-GREATEST_CV = 3.0
-"""The strongest intermittency that the sensor model covers."""
+GREATEST_CV = 3.0  # the strongest intermittency that the sensor model covers
+# Least and greatest value of a release's parameters that may be given: far beyond any leak, and no arithmetic
+# overflows between them.
 LIMITS = {
     "q": (0.001, 1e6),
     "u": (0.0, 120.0),
@@ -41,10 +39,6 @@ LIMITS = {
     "tau": (0.001, 1e6),
     "z": (-1000.0, 1000.0),
 }
-"""Least and greatest value of a release's parameters that may be given: far beyond any leak, and no
-arithmetic overflows between them.
-"""
+# Greatest number of a sensor, a prior or a belief that is taken, in its own unit; squares and products of
+# such numbers are finite.
 MOST = 1e12
-"""Greatest number of a sensor, a prior or a belief that is taken, in its own unit; squares and products of
-such numbers are finite.
-"""

@@ -5,14 +5,12 @@ thread.
 from collections.abc import Callable, Sequence
 from functools import cache
 from hashlib import blake2b
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 MAX_SEED = 2**63 - 1
-TAIL = 3.65
-"""Beyond it NumPy's normal draws are not a product of exact numbers."""
+TAIL = 3.65  # beyond it NumPy's normal draws are not a product of exact numbers
 
 
 @cache
@@ -76,22 +74,6 @@ def standard_gamma(
     return rng.standard_gamma(shape, size).astype(np.float32).astype(np.float64)
 
 
-class Draws(Protocol):
-    """A source of noise: numpy's generator, or several of them `Abreast`."""
-
-    def standard_normal(self, size: tuple[int, ...], /) -> NDArray[np.float64]:
-        """N(0, 1)."""
-
-    def random(self, size: tuple[int, ...], /) -> NDArray[np.float64]:
-        """U[0, 1)."""
-
-    def standard_gamma(self, shape: float, size: tuple[int, ...], /) -> NDArray[np.float64]:
-        """Gamma variables of this shape and scale 1."""
-
-    def poisson(self, lam: NDArray[np.float64], /) -> NDArray[np.int64]:
-        """Poisson counts with means `lam`."""
-
-
 class Abreast:
     """Several keyed generators side by side: each element of an array comes from its own, bit-identical to
     drawing it alone.
@@ -133,6 +115,9 @@ class Abreast:
     def poisson(self, lam: NDArray[np.float64], /) -> NDArray[np.int64]:
         """(M,) Poisson counts with means `lam` (M,)."""
         return np.array(self._drawn(lambda generator, number: generator.poisson(lam[number])), np.int64)
+
+
+Draws = np.random.Generator | Abreast  # a source of noise
 
 
 def derived_seed(seed: int, purpose: str) -> int:

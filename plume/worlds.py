@@ -1,5 +1,6 @@
-"""Worlds by name: how the truth of a mission differs from what its estimator is told. The one table that
-all commands share.
+"""Worlds by name: how the truth of a mission differs from what the estimator assumes.
+
+All commands share this one table.
 """
 
 import math
@@ -12,57 +13,39 @@ from plume.elementary import exp, log
 from plume.randomness import keyed, uniform
 from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
 
-AS_MODELLED = "as-modelled"
-"""The world that is as the estimator is told."""
+AS_MODELLED = "as-modelled"  # the world that matches what the estimator assumes
 
 
 class Errors(NamedTuple):
-    """The truth of one mission against what its estimator is told. A factor is the true value by the told
-    one.
-    """
+    """The truth of one mission against what its estimator assumes. A factor is true value / assumed value."""
 
+    # What has to be added to the measured wind direction, degrees counter-clockwise.
     direction_deg: float = 0.0
-    """What has to be added to the measured wind direction, degrees counter-clockwise."""
-    speed: float = 1.0
-    """Factor on the measured wind speed."""
-    q: float = 1.0
-    """Factor on the release rate."""
-    d: float = 1.0
-    """Factor on the diffusivity."""
-    tau: float = 1.0
-    """Factor on the lifetime of the gas."""
-    source: tuple[float, float] | None = None
-    """The source, (x, y) m; None is where the scenario has it."""
-    gain: float = 1.0
-    """Factor on the gas that the sensor meets."""
-    noise: float = 1.0
-    """Factor on α and β of the sensor. A count of hits has neither, so it stays as it is."""
+    speed: float = 1.0  # factor on the measured wind speed
+    q: float = 1.0  # factor on the release rate
+    d: float = 1.0  # factor on the diffusivity
+    tau: float = 1.0  # factor on the lifetime of the gas
+    source: tuple[float, float] | None = None  # the source, (x, y) m; None is where the scenario has it
+    gain: float = 1.0  # factor on the gas that the sensor meets
+    noise: float = 1.0  # factor on α and β of the sensor. A count of hits has neither, so it stays as it is.
+    # Coefficient of variation of the gas, which is gamma-distributed around the plume's mean; None is that of
+    # the sensor as told.
     cv: float | None = None
-    """Coefficient of variation of the gas, which is gamma-distributed around the plume's mean; None is
-    that of the sensor as told.
-    """
-    correlation: float = 0.0
-    """Correlation of the gas between one reading and the next."""
+    correlation: float = 0.0  # correlation of the gas between one reading and the next
+    # Probability of a reading, never the first, to have no value at first; the sensor is then read again.
     lost: float = 0.0
-    """Probability of a reading, never the first, to have no value at first; the sensor is then read again.
-    """
+    # Number of the first reading that has nothing to do with the gas: it is `stuck_at` + N(0, `stuck_std`²)
+    # instead.
     stuck_from: float = math.inf
-    """Number of the first reading that has nothing to do with the gas: it is `stuck_at` + N(0,
-    `stuck_std`²) instead.
-    """
-    stuck_at: float = 0.0
-    """g/m³."""
-    stuck_std: float = 0.0
-    """g/m³."""
+    stuck_at: float = 0.0  # g/m³
+    stuck_std: float = 0.0  # g/m³
 
 
 class Named(NamedTuple):
     """A world to choose."""
 
-    about: str
-    """One line about it."""
-    errors: Callable[[int], Errors]
-    """The errors of the mission of a seed."""
+    about: str  # one line about it
+    errors: Callable[[int], Errors]  # the errors of the mission of a seed
 
 
 def side(seed: int) -> int:
@@ -93,6 +76,7 @@ def stuck(seed: int) -> Errors:
     return Errors(stuck_from=10, stuck_at=3.0 * keyed(seed, "stuck").random())
 
 
+# The worlds, by the names that --world takes.
 WORLDS: dict[str, Named] = {
     AS_MODELLED: Named("as the estimator is told", lambda _: Errors()),
     "wind-10": Named(
@@ -143,7 +127,6 @@ WORLDS: dict[str, Named] = {
         lambda _: Errors(stuck_from=0, stuck_at=1.0, stuck_std=0.2),
     ),
 }
-"""The worlds, by the names that --world takes."""
 
 
 def check(name: str) -> None:

@@ -2,8 +2,6 @@
 
 import gc
 import signal
-import subprocess
-import sys
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
@@ -13,6 +11,7 @@ import pytest
 from hypothesis import settings
 
 from link.bus.opening import open_router
+from tests.kernels import compile_kernels
 
 # The same examples on every run, and no time limit per example: the machine may be busy.
 settings.register_profile("plumeward", derandomize=True, deadline=None)
@@ -32,22 +31,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     """
     if hasattr(session.config, "workerinput") or session.config.option.collectonly:
         return
-    files = [
-        path
-        for folder in ("plume", "estimator", "agent", "benchmarks")
-        for path in sorted((ROOT / folder).rglob("*.py"))
-    ]
-    modules = [
-        ".".join(path.relative_to(ROOT).with_suffix("").parts)
-        for path in files
-        if "\n@kernel(" in path.read_text()
-    ]
-    # A module that cannot be imported fails its own tests.
-    code = (
-        f"import contextlib, importlib\nfor name in {modules}:\n    with contextlib.suppress(Exception): "
-        "importlib.import_module(name)"
-    )
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False, timeout=600)
+    compile_kernels(ROOT)
 
 
 @pytest.fixture

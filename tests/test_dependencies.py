@@ -137,7 +137,6 @@ def test_an_exception_is_one() -> None:
 
 def test_a_new_release_of_what_we_extend_or_serve_with_is_not_installed_untried() -> None:
     ours = {
-        "numba": "plume/compiled.py",
         "uvicorn": "ground/view/serving.py",
         "starlette": "ground/view/server.py",
     }

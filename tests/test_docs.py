@@ -26,6 +26,7 @@ from ruamel.yaml import YAML
 
 from sitl.script.script import load
 from tests.clients.installed import free_udp_port, python_of
+from tests.kernels import compile_kernels
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -313,13 +314,11 @@ def make_environment(copy: Path) -> None:
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A copy of the checkout to run in, as a user has it; it is removed afterwards."""
     copy = tmp_path_factory.mktemp("checkout")
-    compiled = [
-        str(path.relative_to(ROOT)) for path in ROOT.glob("[!.]*/**/__pycache__/*.nb[ci]")
-    ]  # by numba, which takes a minute
-    for name in (*checkout_files(), *compiled):
+    for name in checkout_files():
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, copy / name)
     make_environment(copy)
+    compile_kernels(copy)
     for page in PAGES:
         for block in filter(named, blocks(page)):
             (copy / folder(page)).mkdir(exist_ok=True)

@@ -29,9 +29,7 @@ from plume.scenario import AREA_M, BUDGET_STEPS
 from plume.worlds import AS_MODELLED, WORLDS
 
 TRAINING_SEEDS = 900_000
-"""Training draws seeds below it. Seeds from it to a million are for validation, those from a million on
-for testing.
-"""
+"""Training draws seeds below it. Seeds from it to a million are for validation, above for testing."""
 REWARDS: Mapping[str, tuple[float, float]] = {"paper": (0.0, 1.0), "cost": (-0.01, 1.0)}
 """By name: reward of each step and of the stop."""
 
@@ -45,29 +43,20 @@ class ActionError(gymnasium.error.InvalidAction, ValueError):
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of an environment. Raises ValueError that says what is allowed."""
+    """The arguments of `SourceSearch`, which says what they mean. Raises ValueError that says what is
+    allowed.
+    """
 
     continuous: bool = False
-    """True: an action is a heading and a step. False: one of the headings."""
     headings: int = 16
-    """Number of headings of discrete actions."""
     observation: str = "polar"
-    """A schema of agent/observation.py: `polar` or `paper`."""
     reward: str = "cost"
-    """`cost`: −0.01 a step and 1 at the stop; `paper`: 0 and 1."""
     particles: int = 500
     threshold_m: float = USUAL_THRESHOLD_M
-    """ζ: AGDC stops when the spread is below it."""
     budget: int = BUDGET_STEPS
-    """Moves after which a mission ends unsuccessfully."""
     world: str = AS_MODELLED
-    """A world of plume/worlds.py: how the truth differs from what the estimator is told."""
-    assume: str = "paper"
-    """What the estimator takes to be known: a name of `estimator.assumptions.ASSUMPTIONS`. The shipped
-    policies learned with `paper`.
-    """
+    assume: str = "paper"  # the shipped policies learned with it
     stop: str | None = None
-    """The stop criterion instead of `threshold_m`, in the form of --stop: `within:1,0.99`."""
 
     def __post_init__(self) -> None:
         """Raise ValueError on a value that is not allowed."""
@@ -219,12 +208,77 @@ def _told(missions: Missions) -> dict[str, Any]:
 
 
 class SourceSearch(gymnasium.Env[Observation, Any]):
-    """One mission at a time; the keyword arguments are those of `Settings`, and `render_mode`: None or
-    "rgb_array".
+    """A drone searches for a gas source; one mission is one episode.
 
-    `reset(seed=s)` begins the mission of seed s, the same that `plumeward rollout --seed s --assume paper`
-    flies. Resets without a seed begin missions drawn by that seed. AGDC's stop *terminates* an episode,
-    right or wrong; a spent budget *truncates* it.
+    Each step flies to a waypoint and takes a gas reading there. A particle filter turns the readings into a
+    belief about the source. AGDC decides when the belief is sure enough to stop.
+
+    ## Action Space
+
+    | environment | action | meaning |
+    |---|---|---|
+    | `SourceSearch-v0` | `Discrete(16)`: k | 1 m in the direction 2π k / 16 |
+    | `SourceSearchContinuous-v0` | `Box(-1, 1, (2,), float32)`: a[0] | the direction π a[0] |
+    | | a[1] | the step (a[1] + 1) / 2 m |
+
+    Directions are relative to the observation's frame. A waypoint outside the area moves to its edge.
+
+    ## Observation Space
+
+    `Box(-10, 10, (184,), float32)`, the schema `polar`: the belief as seen from the vehicle. The frame's x
+    axis points to the estimate; it is mirrored if the wind would otherwise come from the right.
+
+    | index | number |
+    |---|---|
+    | 0 to 127 | 2 √mass of the belief in 8 rings of 16 sectors |
+    | 128 to 159 | information gain of a reading 2 m, then 5 m ahead, in 16 headings, nats |
+    | 160 to 183 | estimate, spread, covariance, wind, plume, and the place in the area |
+
+    With `observation="paper"` it is `Box(-10, 10, (5,), float32)`, in the world's frame: position (x, y),
+    gas and estimate (x, y).
+
+    ## Rewards
+
+    | `reward` | each step | at the stop, added |
+    |---|---|---|
+    | `"cost"`, the default | −0.01 | 1 |
+    | `"paper"` | 0 | 1 |
+
+    A stop is rewarded whether it is right or wrong.
+
+    ## Starting State
+
+    `reset(seed=s)` begins mission s, the same that `plumeward rollout --seed s --assume paper` flies: the
+    seed draws source, wind, gas and start, uniform over [0, 5]² m. A reset without a seed draws the next
+    mission from those of training, below 900,000. The first reading is taken at the start.
+
+    ## Episode End
+
+    | flag | when |
+    |---|---|
+    | `terminated` | AGDC stops: the spread of the belief is below `threshold_m`, or `stop` is met |
+    | `truncated` | `budget` steps are spent |
+
+    ## Information
+
+    `seed`, `position`, `estimate`, `spread_m`, `distance_m` and `located`, whether the stop was right.
+
+    ## Arguments
+
+    `render_mode`: None or `"rgb_array"`. The others are the fields of `Settings`.
+
+    | argument | default | meaning |
+    |---|---|---|
+    | `continuous` | False | an action is a heading and a step |
+    | `headings` | 16 | number of headings of discrete actions |
+    | `observation` | `"polar"` | or `"paper"` |
+    | `reward` | `"cost"` | or `"paper"` |
+    | `particles` | 500 | particles of the filter |
+    | `threshold_m` | 0.5 | ζ, m |
+    | `budget` | 300 | most steps |
+    | `world` | `"as-modelled"` | how the truth differs: a name of `plumeward list worlds` |
+    | `assume` | `"paper"` | or `"field"`: what the estimator takes to be known |
+    | `stop` | None | instead of `threshold_m`: `"within:1,0.99"` |
 
     Example:
         ```python

@@ -19,8 +19,8 @@ from scene.scene import Measurement, Scatter
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+# Facts that are means if they are unknown.
 UNKNOWN_FACTS = {"q": observation.RATE, "d": observation.DIFFUSIVITY, "tau": observation.LIFETIME}
-"""Facts that are means if they are unknown."""
 
 
 class Missions:

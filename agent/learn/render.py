@@ -13,11 +13,10 @@ from agent.learn.missions import Missions
 from scene.animation import FRAMES_PER_S
 from scene.scene import Backdrop, Craft, Ending, Measurement, Release, Scene, judged
 
+# The metadata of an environment about its pictures.
 RENDERING: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FRAMES_PER_S}
-"""The metadata of an environment about its pictures."""
 
-Frame = NDArray[np.uint8]
-"""(540, 960, 3)."""
+Frame = NDArray[np.uint8]  # (540, 960, 3)
 
 
 def check(render_mode: str | None) -> None:

@@ -1,6 +1,6 @@
 """Parallel missions as a stable-baselines3 VecEnv."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -16,20 +16,15 @@ class StableBaselinesEnv(VecEnv):
     def __init__(self, vector: SourceSearchVector) -> None:
         """Wrap a vector environment."""
         self.vector = vector
-        self._seed: int | None = None
         self._actions: NDArray[Any] = np.empty(0)
         super().__init__(vector.num_envs, vector.single_observation_space, vector.single_action_space)
 
     def reset(self) -> NDArray[np.float32]:
         """Begin new missions. Raises ValueError if options have been set: there are none."""
-        observations, _ = self.vector.reset(seed=self._seed, options=next(filter(None, self._options), None))
-        self._seed = None
+        options = next(filter(None, self._options), None)
+        observations, _ = self.vector.reset(seed=self._seeds[0], options=options)  # the others follow
+        self._reset_seeds()
         return observations
-
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Set the seed of the next reset."""
-        self._seed = seed
-        return [seed] * self.num_envs
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Store the actions."""

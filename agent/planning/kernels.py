@@ -16,8 +16,8 @@ from plume.sensor import HITS_KIND, THRESHOLD_KIND
 
 Array = NDArray[np.float64]
 
+# Particles per block; the intermediate arrays of a block stay in the processor's first-level cache.
 BLOCK = 1024
-"""Particles per block; the intermediate arrays of a block stay in the processor's first-level cache."""
 
 
 @numba.njit(error_model="numpy")
@@ -192,9 +192,7 @@ def imagine(
 
 @kernel("float64[:, ::1](float64[:, :], float64[::1], float64[::1])")
 def displacements(frames: Array, turns: Array, lengths: Array) -> Array:
-    """Displacements (B, 2) m of moves of these lengths (B,) at angles of so many turns (B,) in frames (B,
-    3).
-    """
+    """Displacements (B, 2) m of moves of these lengths (B,), at angles (B,) in turns, in frames (B, 3)."""
     result = np.empty((len(turns), 2))
     for b in range(len(turns)):
         cosine, sine, mirror = frames[b]

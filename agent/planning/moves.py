@@ -98,9 +98,7 @@ Move = Headings | HeadingAndStep
 
 
 def _moved(positions: Array, frames: Array, turns: Array, lengths: Array, area_m: float) -> Array:
-    """Return the waypoints (B, 2) of moves at angles of so many turns in their frames, clipped to the
-    area; float32 values.
-    """
+    """Return the waypoints (B, 2) of moves at angles in turns, clipped to the area; float32 values."""
     from agent.planning.kernels import displacements  # compiled: naming a policy does not need it
 
     places: Array = (

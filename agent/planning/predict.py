@@ -18,20 +18,17 @@ from plume.sensor import Gaussian, Sensor, parse, sensor_row
 
 Array = NDArray[np.float64]
 
-CELLS_A_SPREAD = 4
-"""Cells per spread in `entropy_spread`."""
+CELLS_A_SPREAD = 4  # cells per spread in `entropy_spread`
+# Most cells of a grid that is counted in whole; cells beyond ±FAR count as those at ±FAR.
 MOST_CELLS, FAR = 1_000_000, 2.0**30
-"""Most cells of a grid that is counted in whole; cells beyond ±FAR count as those at ±FAR."""
 
 
 @dataclass(frozen=True)
 class Cloud:
     """A belief's particles in float64."""
 
-    values: Array
-    """(D, N): one row per unknown; the first two are x and y."""
-    weights: Array
-    """(N,), sum one."""
+    values: Array  # (D, N): one row per unknown; the first two are x and y
+    weights: Array  # (N,), sum one
 
     @property
     def places(self) -> Array:
@@ -62,18 +59,13 @@ class Imagined:
     predictive distribution there.
     """
 
-    log_predictive: Array
-    """(A, K): log predictive density of each reading. For hits, log z! is left out."""
+    log_predictive: Array  # (A, K): log predictive density of each reading. For hits, log z! is left out.
+    # (A, K): expected log-likelihood of each reading under the belief after it. For hits, log z! is left out.
     log_likelihood: Array
-    """(A, K): expected log-likelihood of each reading under the belief after it. For hits, log z! is left
-    out.
-    """
-    expectations: Array
-    """(A, K, F): expectations of the given values under the belief after each reading."""
-    means: Array
-    """(A, N): concentration at each place under each particle, g/m³."""
+    expectations: Array  # (A, K, F): expectations of the given values under the belief after each reading
+    means: Array  # (A, N): concentration at each place under each particle, g/m³
+    # (2, N): each particle's factor on the sensor's noise, and its intermittency (cv) of the gas.
     noises: Array
-    """(2, N): each particle's factor on the sensor's noise, and its intermittency (cv) of the gas."""
 
     @property
     def gains(self) -> Array:

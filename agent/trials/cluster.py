@@ -15,10 +15,9 @@ from agent.trials.figures import MissionRow
 from agent.trials.sweep import Flight, Sweep, code
 from agent.trials.workers import THREADS
 
+# Tasks handed out at once: more than a cluster flies in the second between two polls, without holding ten
+# million in memory.
 AHEAD = 10_000
-"""Tasks handed out at once: more than a cluster flies in the second between two polls, without holding ten
-million in memory.
-"""
 
 
 class ClusterError(Exception):

@@ -12,7 +12,6 @@ import re
 import sys
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import closing
 from itertools import groupby
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, TextIO, cast
@@ -21,7 +20,6 @@ import msgspec
 
 from agent.policies import add_policy_argument, bundle_path, reach
 from agent.trials.figures import COLUMNS, MissionRow, cell, figures
-from agent.trials.progress import with_bar
 from agent.trials.workers import WorkerLost
 from estimator.options import add_sensor_argument
 from link import cli
@@ -37,8 +35,9 @@ if TYPE_CHECKING:
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
 LONGEST_LINE, MOST_ROWS = 10_000, 1_000_000
-CUT_OFF = "\0"
-"""Stands for a value that a line of a table lacks."""
+CUT_OFF = "\0"  # stands for a value that a line of a table lacks
+# Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All are
+# in the JSON.
 SHOWN = {
     "ceased": (3, "ceased"),
     "located": (0, "located"),
@@ -48,9 +47,7 @@ SHOWN = {
     "search_time_s": (5, "ST"),
     "decision_ms": (6, "decision"),
 }
-"""Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All
-are in the JSON.
-"""
+# How the line above the table says a setting that all rows share.
 SHARED = {
     "world": "world {}",
     "N": "N = {}",
@@ -59,13 +56,9 @@ SHARED = {
     "assume": "assume {}",
     "missions": "{} missions each",
 }
-"""How the line above the table says a setting that all rows share."""
-SETTINGS = re.compile(" (?:world|particles|stop)=")
-"""Where the settings in a key of `named` begin."""
-SHORTEST_NAME = 16
-"""A narrow terminal shows at least so many characters of a policy's name."""
-SHORTEST_WORLD = 8
-"""And of a world's."""
+SETTINGS = re.compile(" (?:world|particles|stop)=")  # where the settings in a key of `named` begin
+SHORTEST_NAME = 16  # least characters of a policy's name, on a narrow terminal
+SHORTEST_WORLD = 8  # the same of a world's
 
 
 def address(text: str) -> str:
@@ -121,6 +114,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     cli.add_output_guard(parser)
     parser.add_argument(
+        "--resume", action="store_true", help="keep the rows that --missions has, and fly only what it lacks"
+    )
+    parser.add_argument(
         "--workers",
         type=cli.whole(1, 4096),
         default=os.cpu_count() or 1,
@@ -163,52 +159,57 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    if refusal := cli.unwritable("--missions", [args.missions] if args.missions else [], args.force):
+    if refusal := cli.unwritable(
+        "--missions", [args.missions] if args.missions else [], args.force or args.resume
+    ):
         print(f"error: {refusal}", file=sys.stderr)
+        return cli.BAD_INPUT
+    there: list[MissionRow] = []
+    try:
+        if args.resume and args.missions and args.missions.exists():
+            there = read_csv(args.missions)
+    except (OSError, ValueError) as error:
+        print(f"error: --missions: {error}", file=sys.stderr)
         return cli.BAD_INPUT
     try:
         if args.ray:
             tell(f"joining the Ray cluster at {args.ray}")
             join(args.ray)
-        return _evaluate(sweep, args)
+        return _evaluate(sweep, there, args)
     except ClusterError as error:
         print(f"error: --ray: {error}", file=sys.stderr)
         return cli.BAD_INPUT
 
 
-def _evaluate(sweep: "Sweep", args: argparse.Namespace) -> int:
+def _evaluate(sweep: "Sweep", there: Sequence[MissionRow], args: argparse.Namespace) -> int:
     from agent.trials.cluster import on_cluster
-    from agent.trials.sweep import fly_all, journal_of, on_cores, ordered
+    from agent.trials.sweep import complete, flown, journal_of, kept, on_cores
 
     journal = journal_of(sweep, KEPT_IN)
-    rows: list[MissionRow] = []
+    workers = f"{args.workers} worker{'s' * (args.workers > 1)}"
+    flyer, starting = (
+        (on_cluster, "starting on Ray") if args.ray else (on_cores(args.workers), f"starting {workers}")
+    )
 
-    def kept() -> str:
-        return (
-            f"{len(rows) // len(sweep.stops)} of {sweep.count} missions are saved. Run the command "
-            "again: it resumes"
-        )
+    def saved() -> str:
+        flights = complete(sweep, there) | kept(sweep, journal)
+        return f"{len(flights)} of {sweep.count} missions are saved. Run the command again: it resumes"
 
     try:
-        flights = fly_all(sweep, journal, on_cluster if args.ray else on_cores(args.workers))
-        starting = (
-            "starting on Ray" if args.ray else f"starting {args.workers} worker{'s' * (args.workers > 1)}"
-        )
-        with closing(with_bar(flights, sweep.count, "missions", starting)) as all_flown:
-            for flown in all_flown:
-                rows += flown
+        rows = flown(sweep, journal, flyer, "missions", starting, there)
     except KeyboardInterrupt:
-        tell(f"interrupted: {kept()}")
+        tell(f"interrupted: {saved()}")
         raise
     except (WorkerLost, OSError) as error:
         if isinstance(error, OSError) and error.errno == errno.EMFILE:
             raise
-        print(f"error: {error}; {kept()}", file=sys.stderr)
+        print(f"error: {error}; {saved()}", file=sys.stderr)
         return cli.FAILED
-    rows = ordered(rows, sweep)
-    if args.missions:
+    if args.missions and len(complete(sweep, there)) < sweep.count:  # a file that has all stays as it is
         try:
-            write_csv(rows, args.missions)
+            new = {(row.flight, row.criterion) for row in rows}
+            others = [row for row in there if (row.flight, row.criterion) not in new]
+            write_csv([*others, *rows], args.missions)
         except OSError as error:
             print(
                 f"error: --missions: {error}; the missions are saved: run the command again with another "

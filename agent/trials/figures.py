@@ -14,8 +14,8 @@ from plume.worlds import AS_MODELLED
 
 Array = NDArray[np.float64]
 RESAMPLES = 1000
-LARGEST = 2_000_000
-"""Values that the bootstrap draws at once, at most: a limit on memory."""
+LARGEST = 2_000_000  # values that the bootstrap draws at once, at most: a limit on memory
+# By figure: heading in tables, scale and digits.
 COLUMNS = {
     "ceased": ("ceased, %", 100.0, 1),
     "located": ("located, %", 100.0, 1),
@@ -27,7 +27,6 @@ COLUMNS = {
     "decision_ms": ("decision, ms", 1.0, 2),
     "update_ms": ("update, ms", 1.0, 2),
 }
-"""By figure: heading in tables, scale and digits."""
 UNKNOWN = "–"
 
 
@@ -38,15 +37,13 @@ class MissionRow(msgspec.Struct, frozen=True):
 
     policy: str
     particles: int
-    threshold_m: float | None
-    """ζ; None where the stop is another."""
+    threshold_m: float | None  # ζ; None where the stop is another
     seed: int
     budget: int
-    headings: int | None
-    """Directions that a planner chooses from; None for a learned policy."""
+    headings: int | None  # directions that a planner chooses from; None for a learned policy
     step_m: float
+    # Hypothetical readings for each move; None for a learned policy, which uses none.
     measurements: int | None
-    """Hypothetical readings for each move; None for a learned policy, which uses none."""
     ceased: bool
     located: bool
     estimate_x: float
@@ -55,33 +52,31 @@ class MissionRow(msgspec.Struct, frozen=True):
     source_y: float
     error_m: float
     spread_m: float
-    nees: float
-    """Normalised estimation error squared of the location."""
+    nees: float  # normalised estimation error squared of the location
     steps: int
     distance_m: float
+    # The information floor at ζ, the path of an oracle (docs/floor.md); None where it is not known.
     floor_m: float | None
-    """The information floor at ζ, the path of an oracle (docs/floor.md); None where it is not known."""
     search_time_s: float
-    decision_ms: float
-    """Mean processor time of the agent for a decision."""
-    update_ms: float
-    """Mean processor time of the estimator for a reading."""
+    decision_ms: float  # mean processor time of the agent for a decision
+    update_ms: float  # mean processor time of the estimator for a reading
+    # Older files lack this column and those below; their rows get these defaults.
     sensor: str = text(GAUSSIAN)
-    """Older files lack this column and those below; their rows get these defaults."""
+    # The priors given, in the form of `--prior`, separated by spaces; None where there were none.
     prior: str | None = None
-    """The priors given, in the form of `--prior`, separated by spaces; None where there were none."""
     stop_on: str = "location"
-    assume: str = "paper"
-    """What the estimator took to be known."""
-    stop: str = "spread"
-    """The stop criterion: spread, with `threshold_m`, or another in the form of `--stop`."""
-    version: str | None = None
-    """Version of Plumeward that flew it; None where the row does not say."""
+    assume: str = "paper"  # what the estimator took to be known
+    stop: str = "spread"  # the stop criterion: spread, with `threshold_m`, or another in the form of `--stop`
+    version: str | None = None  # version of Plumeward that flew it; None where the row does not say
     world: str = AS_MODELLED
+    # Whether the estimator warned, at any reading up to this end, that a stop would not be honest; False in
+    # older files.
     warned: bool = False
-    """Whether the estimator warned, at any reading up to this end, that a stop would not be honest; False
-    in older files.
-    """
+
+    @property
+    def flight(self) -> tuple[str, int, int, str]:
+        """(policy, particles, seed, world)."""
+        return self.policy, self.particles, self.seed, self.world
 
     @property
     def criterion(self) -> str:

@@ -20,17 +20,15 @@ from plume.sensor import GAUSSIAN
 
 Array = NDArray[np.float64]
 
-LEAST_THRESHOLD_M = 0.03
-"""Below this ζ the computation takes long, and the floor may exceed the budget."""
+LEAST_THRESHOLD_M = 0.03  # below this ζ the computation takes long, and the floor may exceed the budget
+# α² and β²: the variance of a reading is SLOPE m² + FLOOR.
 SLOPE, FLOOR = (
     GAUSSIAN.sensor_noise * GAUSSIAN.sensor_noise,
     GAUSSIAN.environment_noise * GAUSSIAN.environment_noise,
 )
-"""α² and β²: the variance of a reading is SLOPE m² + FLOOR."""
+# Precision of the prior for each axis, 1/m²: that of the Gaussian with the covariance of the uniform prior.
 PRIOR = 12 / (AREA_M * AREA_M)
-"""Precision of the prior for each axis, 1/m²: that of the Gaussian with the covariance of the uniform
-prior.
-"""
+# (rad per step, number of last steps): the bends that a path may end with after a straight beginning.
 BENDS = np.array(
     [
         (0.0, 1.0),
@@ -42,19 +40,16 @@ BENDS = np.array(
         ),
     ]
 )
-"""(rad per step, number of last steps): the bends that a path may end with after a straight beginning."""
 
 
 @dataclass(frozen=True)
 class Effort:
     """How thoroughly the shortest path is searched for."""
 
+    # Number of first bearings tried, spaced evenly within 1 rad of the bearing to the source.
     bearings: int = 21
-    """Number of first bearings tried, spaced evenly within 1 rad of the bearing to the source."""
-    refined: int = 4
-    """Number of the best paths that are refined."""
-    finest: float = 0.02
-    """The refinement ends when no larger change of a heading helps, rad."""
+    refined: int = 4  # number of the best paths that are refined
+    finest: float = 0.02  # the refinement ends when no larger change of a heading helps, rad
 
 
 @kernel("float64(float64)", error_model="numpy")
@@ -206,8 +201,3 @@ def floors_m(
             steps += 1
         result[threshold_m] = steps * STEP_M if steps <= budget else math.inf
     return result
-
-
-def floor_m(scenario: Scenario, threshold_m: float) -> float:
-    """The length that `floors_m` returns, for one ζ, m."""
-    return floors_m(scenario, [threshold_m])[threshold_m]

@@ -18,12 +18,9 @@ from rich.progress import (
 
 Flown = TypeVar("Flown")
 
-BAR = 40
-"""Columns of the bar of missions on a wide terminal."""
-BESIDE = 52
-"""Columns of the text beside it."""
-NARROW = 80
-"""On a narrower terminal training shows its text without a bar."""
+BAR = 40  # columns of the bar of missions on a wide terminal
+BESIDE = 52  # columns of the text beside it
+NARROW = 80  # on a narrower terminal training shows its text without a bar
 
 
 def progress_bar(*, stands: bool = False) -> Progress:

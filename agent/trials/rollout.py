@@ -19,12 +19,10 @@ from plume.world import World
 from plume.worlds import AS_MODELLED
 
 ALTITUDE_M = 5.0
-USUAL: Mapping[str, float] = MappingProxyType({})
-"""The planner's own moves."""
+USUAL: Mapping[str, float] = MappingProxyType({})  # the planner's own moves
+# Fields of `Config` that may be given for a mission; the others have arguments of their own, or come from the
+# scenario.
 FURTHER = ("area_m", "priors", "sensor", "stop_on_location", "stop_limits")
-"""Fields of `Config` that may be given for a mission; the others have arguments of their own, or come from
-the scenario.
-"""
 
 
 class Step(NamedTuple):
@@ -32,23 +30,18 @@ class Step(NamedTuple):
 
     belief: Belief
     particles: Particles
-    posterior: Posterior
-    """What both were made from."""
-    update_s: float
-    """Processor time of the estimator for this reading: others on the machine do not count."""
-    decision_s: float
-    """Processor time of the agent for the move to here; 0 at the start."""
+    posterior: Posterior  # what both were made from
+    update_s: float  # processor time of the estimator for this reading: others on the machine do not count
+    decision_s: float  # processor time of the agent for the move to here; 0 at the start
 
 
 class Mission(NamedTuple):
     """A mission ready to fly."""
 
-    scenario: Scenario
-    """The truth, for judging only."""
-    config: Config
-    """What the estimator knows."""
+    scenario: Scenario  # the truth, for judging only
+    config: Config  # what the estimator knows
+    # Computed when asked for, until the search ceases, if it ends there, or the budget is spent.
     steps: Iterator[Step]
-    """Computed when asked for, until the search ceases, if it ends there, or the budget is spent."""
 
 
 def mission(

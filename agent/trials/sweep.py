@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import groupby, product
 from pathlib import Path
@@ -19,12 +19,13 @@ import numpy as np
 from agent.policies import bundle_path, reach
 from agent.trials.figures import MissionRow, nees
 from agent.trials.floor import LEAST_THRESHOLD_M, floors_m
+from agent.trials.progress import with_bar
 from agent.trials.rollout import Mission, mission
 from agent.trials.workers import as_flown
 from estimator.belief import met, warning
 from estimator.criterion import Criterion
 from estimator.filter import Config
-from estimator.priors import KINDS
+from estimator.priors import text as prior_text
 from link.bus.messages import Belief
 from plume import __version__
 from plume.scenario import BUDGET_STEPS, STEP_M, SUCCESS_RADIUS_M
@@ -41,13 +42,10 @@ class Sweep:
     policies: Sequence[str]
     seeds: range
     particles: Sequence[int] = (1000,)
-    stops: Sequence[Criterion] = (Criterion(),)
-    """Each once. One flight serves all of them."""
+    stops: Sequence[Criterion] = (Criterion(),)  # each once. One flight serves all of them.
     budget: int = BUDGET_STEPS
-    moves: dict[str, float] = field(default_factory=dict)
-    """Fields of `Reach` that replace the planner's own."""
-    knowledge: dict[str, Any] = field(default_factory=dict)
-    """Other fields of `Config`."""
+    moves: dict[str, float] = field(default_factory=dict)  # fields of `Reach` that replace the planner's own
+    knowledge: dict[str, Any] = field(default_factory=dict)  # other fields of `Config`
     worlds: Sequence[str] = (AS_MODELLED,)
 
     @property
@@ -77,12 +75,10 @@ class Sweep:
         )
 
 
-Flight = tuple[str, int, int, str]
-"""(policy, particles, seed, world)."""
-Rows = Annotated[list[MissionRow], msgspec.Meta(min_length=1)]
-"""The rows of a flight, one per stop criterion."""
+Flight = tuple[str, int, int, str]  # (policy, particles, seed, world)
+Rows = Annotated[list[MissionRow], msgspec.Meta(min_length=1)]  # the rows of a flight, one per stop criterion
+# (sweep, flights by seed) -> the rows of each flight, in any order.
 Flyer = Callable[[Sweep, Iterable[Sequence[Flight]]], Generator[list[MissionRow], None, None]]
-"""(sweep, flights by seed) -> the rows of each flight, in any order."""
 
 
 def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
@@ -187,17 +183,12 @@ def row_of(
 ) -> MissionRow:
     """Return the row of a mission that has been flown."""
     policy, particles, seed, world = flight
-    moves, learned = reach(policy, sweep.moves), bundle_path(policy) is not None
     error_m = math.dist(last.mean, source)
     return MissionRow(
         policy=policy,
         particles=particles,
         threshold_m=None if config.within else config.threshold_m,
         seed=seed,
-        budget=sweep.budget,
-        headings=None if learned else moves.headings,
-        step_m=moves.step,
-        measurements=None if learned else moves.measurements,
         ceased=ceased,
         located=ceased and error_m <= SUCCESS_RADIUS_M,
         estimate_x=last.mean[0],
@@ -213,58 +204,82 @@ def row_of(
         search_time_s=sum(updates_s) + sum(decisions_s),
         decision_ms=1e3 * float(np.mean(decisions_s)) if decisions_s else 0.0,
         update_ms=1e3 * float(np.mean(updates_s)),
-        **told(config),
+        stop=config.criterion.text if config.within else "spread",
         version=__version__,
         world=world,
         warned=warned,
+        **settings(sweep, policy, config),
     )
 
 
-def told(config: Config) -> dict[str, Any]:
-    """Return the columns of a row that say what was told, assumed and waited for, in the form of the
-    flags.
-    """
-    names = {kind: name for name, kind in KINDS.items()}
-    priors = [
-        f"{name}={names[type(prior)]}:{','.join(map(repr, astuple(prior)))}"
-        for name, prior in config.priors.items()
-    ]
-    stop_on = ["location"] * config.stop_on_location + [
-        f"{name}={limit!r}" for name, limit in config.stop_limits.items()
-    ]
-    stop = config.criterion.text if config.within else "spread"
-    said = {"sensor": text(config.sensor), "prior": " ".join(priors) or None, "stop_on": ",".join(stop_on)}
-    return {**said, "assume": config.assume, "stop": stop}
+def settings(sweep: Sweep, policy: str, config: Config) -> dict[str, Any]:
+    """Return the columns that are equal in all rows of a policy, in the form of the flags."""
+    moves, learned = reach(policy, sweep.moves), bundle_path(policy) is not None
+    limits = [f"{name}={limit!r}" for name, limit in config.stop_limits.items()]
+    return {
+        "budget": sweep.budget,
+        "headings": None if learned else moves.headings,
+        "step_m": moves.step,
+        "measurements": None if learned else moves.measurements,
+        "sensor": text(config.sensor),
+        "prior": " ".join(prior_text(name, prior) for name, prior in config.priors.items()) or None,
+        "stop_on": ",".join(["location"] * config.stop_on_location + limits),
+        "assume": config.assume,
+    }
 
 
-def fly_all(sweep: Sweep, journal: Path, fly_tasks: Flyer) -> Generator[list[MissionRow], None, None]:
-    """Fly the flights that the journal lacks; yields the rows of each flight as it ends, those of the
-    journal first.
+def flown(
+    sweep: Sweep, journal: Path, fly_tasks: Flyer, what: str, starting: str, there: Sequence[MissionRow] = ()
+) -> list[MissionRow]:
+    """Fly a sweep as `fly_all` does, beside a progress bar; returns its rows, `ordered`."""
+    flights = fly_all(sweep, journal, fly_tasks, there)
+    with closing(with_bar(flights, sweep.count, what, starting)) as all_rows:
+        return ordered((row for rows in all_rows for row in rows), sweep)
+
+
+def fly_all(
+    sweep: Sweep, journal: Path, fly_tasks: Flyer, there: Sequence[MissionRow] = ()
+) -> Generator[list[MissionRow], None, None]:
+    """Fly the flights that neither the journal nor the rows `there` have; yields the rows of each flight,
+    first of those that have been flown.
 
     Each flight is added to the journal as it ends, so an interrupted sweep can resume.
     """
-    done = _kept(journal)
-    yield from (rows for flight, rows in done.items() if flight in sweep)
+    done = complete(sweep, there) | kept(sweep, journal)
+    yield from done.values()
     left = (flight for flight in sweep.flights if flight not in done)
     tasks = (list(flights) for _, flights in groupby(left, key=lambda flight: flight[2]))
     journal.parent.mkdir(parents=True, exist_ok=True)
-    with journal.open("ab", buffering=0) as file, closing(fly_tasks(sweep, tasks)) as flown:
+    with journal.open("ab", buffering=0) as file, closing(fly_tasks(sweep, tasks)) as results:
         file.write(b"\n")  # ends a line that an interrupt left incomplete
-        for rows in flown:
+        for rows in results:
             file.write(msgspec.json.encode(rows) + b"\n")
             yield rows
 
 
-def _kept(journal: Path) -> dict[Flight, list[MissionRow]]:
-    """Rows by flight of a journal. A line that cannot be read was left incomplete by an interrupt."""
+def complete(sweep: Sweep, rows: Iterable[MissionRow]) -> dict[Flight, list[MissionRow]]:
+    """Return the flights of a sweep that rows tell in full: flown in its way, with all its criteria."""
+    config, wanted = Config(**sweep.knowledge), [stop.text for stop in sweep.stops]
+    ways = {policy: settings(sweep, policy, config).items() for policy in sweep.policies}
+    said: dict[Flight, dict[str, MissionRow]] = {}
+    for row in rows:
+        if row.flight in sweep and all(getattr(row, name) == value for name, value in ways[row.policy]):
+            said.setdefault(row.flight, {})[row.criterion] = row
+    return {flight: [of[stop] for stop in wanted] for flight, of in said.items() if of.keys() >= {*wanted}}
+
+
+def kept(sweep: Sweep, journal: Path) -> dict[Flight, list[MissionRow]]:
+    """Return the flights of a sweep in a journal. A line that cannot be read was left incomplete by an
+    interrupt.
+    """
     done: dict[Flight, list[MissionRow]] = {}
     if journal.exists():
         with journal.open("rb") as file:
             for line in file:
                 with suppress(msgspec.DecodeError, UnicodeDecodeError):
                     rows = msgspec.json.decode(line, type=Rows)
-                    done[rows[0].policy, rows[0].particles, rows[0].seed, rows[0].world] = rows
-    return done
+                    done[rows[0].flight] = rows
+    return {flight: rows for flight, rows in done.items() if flight in sweep}
 
 
 def on_cores(workers: int) -> Flyer:

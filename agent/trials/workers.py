@@ -14,10 +14,9 @@ from typing import TypeVar
 
 from link.interrupts import uninterrupted
 
+# Set to one thread per worker: competing thread pools slow each other down.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""Set to one thread per worker: competing thread pools slow each other down."""
-AHEAD = 4
-"""Tasks handed out per worker: enough to keep it busy, without holding ten million in memory."""
+AHEAD = 4  # tasks handed out per worker: enough to keep it busy, without holding ten million in memory
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

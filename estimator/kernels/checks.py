@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.kernels.densities import is_intermittent, normal_cdf
+from estimator.kernels.densities import Model, is_intermittent, normal_cdf
 from plume.compiled import kernel
 from plume.intermittency import BODY, TAIL, distribution
 from plume.kernels import CVS, NOISES
@@ -17,10 +17,9 @@ from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 
 Array = NDArray[np.float64]
 
+# Approximate number of particles, evenly spaced, for the predictive rank of a reading; fewer in intermittent
+# gas, where each takes long.
 CHECK_PARTICLES, CHECK_INTERMITTENT = 1000, 250
-"""About so many particles, evenly spaced, are used for the predictive rank of a reading; fewer in
-intermittent gas, where each is dear.
-"""
 
 
 @numba.njit(error_model="numpy")
@@ -60,7 +59,7 @@ def _hits_cdf(count: float, expected: float) -> float:
 
 @numba.njit(error_model="numpy")
 def predictive_rank(
-    means: Array, derived: Array, weights: Array, gas: float, priors: Array, sensor: Array, chance: float
+    means: Array, derived: Array, weights: Array, gas: float, model: Model, chance: float
 ) -> float:
     """Return the rank of a reading in its predictive distribution: uniform in (0, 1) if the model is right
     (Dawid 1984).
@@ -69,8 +68,9 @@ def predictive_rank(
     `plume.kernels.derive`, or empty.
     chance: a uniform draw in (0, 1) that breaks ties of discrete readings.
     """
+    sensor = model.sensor
     gaussian = sensor[0] == GAUSSIAN_KIND
-    intermittent = gaussian and is_intermittent(priors)
+    intermittent = gaussian and is_intermittent(model.priors)
     stride = max(len(means) // (CHECK_INTERMITTENT if intermittent else CHECK_PARTICLES), 1)
     few, shares = means[::stride].copy(), weights[::stride].copy()
     count = len(few)

@@ -1,6 +1,7 @@
 """Log-likelihoods of gas values as defined in `plume/sensor.py`, and log prior densities."""
 
 import math
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -25,9 +26,7 @@ from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 
 Array = NDArray[np.float64]
 
-FUSED = 8
-"""Readings whose densities are added together: products of so many variances neither overflow nor vanish.
-"""
+FUSED = 8  # readings whose densities are added together: products of 8 variances neither overflow nor vanish
 
 
 @numba.njit(error_model="numpy")
@@ -36,56 +35,16 @@ def normal_cdf(value: float) -> float:
     return 0.5 * erfc(-value * math.sqrt(0.5))
 
 
-@numba.njit(error_model="numpy")
-def log_densities_of(means: Array, count: int, gas: float, sensor: Array, result: Array) -> None:
-    """Fill `result` with the log-likelihood of a gas value for each mean, as `log_likelihood` in
-    plume/sensor.py.
-    """
-    if sensor[0] == HITS_KIND:
-        constant = log_gamma(gas + 1.0)
-        for i in range(count):
-            expected = sensor[1] * means[i] + sensor[2]
-            result[i] = gas * log(expected) - expected - constant
-        return
-    if sensor[0] == THRESHOLD_KIND and gas == 0.0:
-        for i in range(count):
-            std = math.sqrt((sensor[1] * means[i]) ** 2 + sensor[2] * sensor[2])
-            below = normal_cdf((sensor[3] - means[i]) / std)
-            result[i] = log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
-        return
-    constant = HALF_LOG_2PI - (log1p(-sensor[4]) if sensor[0] == THRESHOLD_KIND else 0.0)
-    slope, floor = sensor[1] * sensor[1], sensor[2] * sensor[2]
-    for i in range(count):
-        variance = slope * means[i] * means[i] + floor
-        residual = gas - means[i]
-        result[i] = -0.5 * (residual * residual / variance + log(variance)) - constant
+class Model(NamedTuple):
+    """What the filter assumes, as kernels take it."""
+
+    unknowns: NDArray[np.int64]  # (D,) indices into `plume.parameters.PARAMETERS`
+    priors: Array  # (13, 5): kind, two numbers, and the support's ends of each parameter
+    sensor: Array  # (5,): kind and numbers
 
 
-@numba.njit(error_model="numpy")
-def noisy_log_densities_of(
-    means: Array, count: int, gas: float, sensor: Array, derived: Array, intermittent: bool, result: Array
-) -> None:
-    """Do the same where the sensor's noise, or the gas's intermittency, differs between the columns of
-    `derived`.
-    """
-    slope, floor = sensor[1] * sensor[1], sensor[2] * sensor[2]
-    if intermittent:
-        for i in range(count):
-            result[i] = log_density(
-                gas, means[i], derived[NOISES, i] * (slope * means[i] * means[i] + floor), derived[CVS, i]
-            )
-    elif sensor[0] == THRESHOLD_KIND and gas == 0.0:
-        for i in range(count):
-            std = math.sqrt(derived[NOISES, i] * (slope * means[i] * means[i] + floor))
-            result[i] = log(
-                max(sensor[4] + (1 - sensor[4]) * normal_cdf((sensor[3] - means[i]) / std), 1e-300)
-            )
-    else:
-        constant = HALF_LOG_2PI - (log1p(-sensor[4]) if sensor[0] == THRESHOLD_KIND else 0.0)
-        for i in range(count):
-            variance = derived[NOISES, i] * (slope * means[i] * means[i] + floor)
-            residual = gas - means[i]
-            result[i] = -0.5 * (residual * residual / variance + log(variance)) - constant
+tuple_type: Any = numba.types.NamedTuple
+MODEL = tuple_type((numba.int64[::1], numba.float64[:, ::1], numba.float64[::1]), Model)
 
 
 @numba.njit(error_model="numpy")
@@ -96,15 +55,53 @@ def is_intermittent(priors: Array) -> bool:
 
 
 @numba.njit(error_model="numpy")
+def log_densities(means: Array, derived: Array, count: int, gas: float, model: Model, result: Array) -> None:
+    """Fill `result` with the log-likelihood of a gas value for each mean, as `log_likelihood` in
+    plume/sensor.py.
+
+    derived: as of `reading_densities`, for the noise and the gas's intermittency where they are unknown.
+    """
+    sensor = model.sensor
+    kind, slope, floor = sensor[0], sensor[1] * sensor[1], sensor[2] * sensor[2]
+    plain = is_plain(model.priors)
+    if kind == HITS_KIND:
+        constant = log_gamma(gas + 1.0)
+        for i in range(count):
+            expected = sensor[1] * means[i] + sensor[2]
+            result[i] = gas * log(expected) - expected - constant
+    elif not plain and is_intermittent(model.priors):
+        for i in range(count):
+            variance = derived[NOISES, i] * (slope * means[i] * means[i] + floor)
+            result[i] = log_density(gas, means[i], variance, derived[CVS, i])
+    elif kind == THRESHOLD_KIND and gas == 0.0:
+        for i in range(count):
+            if plain:
+                variance = (sensor[1] * means[i]) ** 2 + floor
+            else:
+                variance = derived[NOISES, i] * (slope * means[i] * means[i] + floor)
+            below = normal_cdf((sensor[3] - means[i]) / math.sqrt(variance))
+            result[i] = log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
+    else:
+        constant = HALF_LOG_2PI - (log1p(-sensor[4]) if kind == THRESHOLD_KIND else 0.0)
+        for i in range(count):
+            variance = slope * means[i] * means[i] + floor
+            if not plain:
+                variance *= derived[NOISES, i]
+            residual = gas - means[i]
+            result[i] = -0.5 * (residual * residual / variance + log(variance)) - constant
+
+
+@numba.njit(error_model="numpy")
+def derived_of(count: int, model: Model) -> Array:
+    """Return an array for `count` columns of `plume.kernels.derive`; empty where only the location is
+    unknown, which has a faster loop.
+    """
+    return np.empty((0 if is_location_only(model.unknowns, model.priors) else DERIVED, count))
+
+
+@numba.njit(error_model="numpy")
 def reading_densities(
-    particles: Array,
-    derived: Array,
-    count: int,
-    reading: Array,
-    priors: Array,
-    sensor: Array,
-    means: Array,
-    result: Array,
+    particles: Array, derived: Array, count: int, reading: Array, model: Model, means: Array, result: Array
 ) -> None:
     """Fill `means` and `result` (count,) with the concentration and the log-likelihood of one reading
     under each particle.
@@ -112,21 +109,19 @@ def reading_densities(
     derived: columns that `derive` filled; empty if only the location is unknown.
     """
     if len(derived) == 0:
-        location_means(particles, count, reading, priors, means)
+        location_means(particles, count, reading, model.priors, means)
     else:
-        derived_means(derived, count, reading, priors, means)
-    if is_plain(priors) or sensor[0] == HITS_KIND:
-        log_densities_of(means, count, reading[5], sensor, result)
-    else:
-        noisy_log_densities_of(means, count, reading[5], sensor, derived, is_intermittent(priors), result)
+        derived_means(derived, count, reading, model.priors, means)
+    log_densities(means, derived, count, reading[5], model, result)
 
 
 @numba.njit(error_model="numpy")
-def is_fused(unknowns: NDArray[np.int64], readings: Array, priors: Array, sensor: Array) -> bool:
+def is_fused(readings: Array, model: Model) -> bool:
     """True if `add_place_densities` applies: the paper's case with a Gaussian sensor, and numbers whose
     products stay in range.
     """
-    if sensor[0] != GAUSSIAN_KIND or not is_location_only(unknowns, priors):
+    priors, sensor = model.priors, model.sensor
+    if sensor[0] != GAUSSIAN_KIND or not is_location_only(model.unknowns, priors):
         return False
     scale = priors[Q, 1] / (4 * math.pi * priors[D, 1])
     sound: bool = sensor[2] > 1e-12 and (1 + sensor[1] + sensor[2]) * (1 + scale) < 1e10
@@ -137,24 +132,17 @@ def is_fused(unknowns: NDArray[np.int64], readings: Array, priors: Array, sensor
 
 @numba.njit(error_model="numpy")
 def add_place_densities(
-    places: Array,
-    count: int,
-    readings: Array,
-    first: int,
-    last: int,
-    priors: Array,
-    sensor: Array,
-    scratch: Array,
-    targets: Array,
+    places: Array, count: int, readings: Array, model: Model, scratch: Array, targets: Array
 ) -> None:
-    """Add the log-likelihoods of readings `first` to `last`, at most FUSED, to the targets of sources at
+    """Add the log-likelihoods of readings (1 to FUSED, 7), the last first, to the targets of sources at
     places (2, count).
 
     The same as `reading_densities` in the paper's case, with one division and one logarithm for all of
     them: of each reading, the square of the residual and the variance, both times the squared distance,
     are sums of products; fractions are brought to one denominator.
-    scratch: (3 or more, count or more).  All shares are 1.
+    scratch: (3, count or more).  All shares are 1.
     """
+    priors, sensor = model.priors, model.sensor
     diffusivity = priors[D, 1]
     scale = priors[Q, 1] / (4 * math.pi * diffusivity)
     slope, floor = sensor[1] * sensor[1] * scale * scale, sensor[2] * sensor[2]
@@ -162,7 +150,7 @@ def add_place_densities(
     numerators, variances, squares = scratch[0], scratch[1], scratch[2]
     for j in range(count):
         numerators[j], variances[j], squares[j] = 0.0, 1.0, 1.0
-    for t in range(last, first - 1, -1):
+    for t in range(len(readings) - 1, -1, -1):
         drift_x, drift_y = readings[t, 3] / (2 * diffusivity), readings[t, 4] / (2 * diffusivity)
         inverse_length = math.sqrt(1 / (diffusivity * priors[TAU, 1]) + drift_x * drift_x + drift_y * drift_y)
         x, y, dz, gas = readings[t, 0], readings[t, 1], readings[t, 2] - priors[Z, 1], readings[t, 5]
@@ -178,7 +166,7 @@ def add_place_densities(
             numerators[j] = numerators[j] * variance + residual * residual * variances[j]
             variances[j] *= variance
             squares[j] *= square
-    constant = HALF_LOG_2PI * (last - first + 1)
+    constant = HALF_LOG_2PI * len(readings)
     for j in range(count):
         targets[j] -= 0.5 * (numerators[j] / variances[j] + log(variances[j] / squares[j])) + constant
 
@@ -198,7 +186,7 @@ def greatest_log_density(gas: float, sensor: Array, priors: Array) -> float:
     of 1.
 
     If the gas is steady and the noise known, the bound falls with the reading: a strong reading needs a
-    large mean, and so much noise.
+    large mean, and a large mean has much noise.
     """
     if sensor[0] == HITS_KIND:
         return gas * log(gas) - gas - log_gamma(gas + 1.0) + 1e-9 if gas > 0 else 0.0
@@ -208,39 +196,33 @@ def greatest_log_density(gas: float, sensor: Array, priors: Array) -> float:
     if gas <= 0 or not is_plain(priors):
         return -0.5 * log(floor) - HALF_LOG_2PI
     best = -0.5 * log(slope * gas * gas + floor)  # of means above the reading
-    for cell in range(
-        20
-    ):  # of means in twentieths of the reading: the least distance with the best variances
+    for cell in range(20):  # of means in twentieths of the reading: the least distance, the best variances
         low, high = cell / 20 * gas, (cell + 1) / 20 * gas
-        best = max(
-            best, -0.5 * ((gas - high) ** 2 / (slope * high * high + floor) + log(slope * low * low + floor))
-        )
+        distance = (gas - high) ** 2 / (slope * high * high + floor)
+        best = max(best, -0.5 * (distance + log(slope * low * low + floor)))
     return best - HALF_LOG_2PI
 
 
-@kernel("float64[::1](float64[:, ::1], int64[::1], float64[:, ::1], float64[::1], float64[::1])")
-def log_likelihoods(
-    particles: Array, unknowns: NDArray[np.int64], priors: Array, sensor: Array, reading: Array
-) -> Array:
+@kernel(numba.float64[::1](numba.float64[:, ::1], MODEL, numba.float64[::1]))
+def log_likelihoods(particles: Array, model: Model, reading: Array) -> Array:
     """Log-likelihood of one reading (7,) under each particle: (N,)."""
     count = particles.shape[1]
-    means, result = np.empty(count), np.empty(count)
-    derived = np.empty((0 if is_location_only(unknowns, priors) else DERIVED, count))
+    means, result, derived = np.empty(count), np.empty(count), derived_of(count, model)
     if len(derived):
-        derive(particles, count, unknowns, priors, derived)
-    reading_densities(particles, derived, count, reading, priors, sensor, means, result)
+        derive(particles, count, model.unknowns, model.priors, derived)
+    reading_densities(particles, derived, count, reading, model, means, result)
     return result
 
 
 @numba.njit(error_model="numpy")
-def log_prior(particles: Array, i: int, unknowns: NDArray[np.int64], priors: Array) -> float:
+def log_prior(particles: Array, i: int, model: Model) -> float:
     """Log prior density of particle i up to a constant; of a log-normal parameter, the density of its
     logarithm.
     """
     total = 0.0
-    for row in range(len(unknowns)):
-        kind, a, b = priors[unknowns[row], 0], priors[unknowns[row], 1], priors[unknowns[row], 2]
-        value = particles[row, i]
+    for row in range(len(model.unknowns)):
+        index, value = model.unknowns[row], particles[row, i]
+        kind, a, b = model.priors[index, 0], model.priors[index, 1], model.priors[index, 2]
         if kind == NORMAL:
             total -= 0.5 * ((value - a) / b) ** 2
         elif kind == GAMMA:
@@ -250,10 +232,10 @@ def log_prior(particles: Array, i: int, unknowns: NDArray[np.int64], priors: Arr
     return total
 
 
-@kernel("float64[::1](float64[:, ::1], int64[::1], float64[:, ::1])")
-def log_priors(particles: Array, unknowns: NDArray[np.int64], priors: Array) -> Array:
+@kernel(numba.float64[::1](numba.float64[:, ::1], MODEL))
+def log_priors(particles: Array, model: Model) -> Array:
     """Log prior density of each particle up to a constant: (N,)."""
     result = np.empty(particles.shape[1])
     for i in range(len(result)):
-        result[i] = log_prior(particles, i, unknowns, priors)
+        result[i] = log_prior(particles, i, model)
     return result

@@ -1,6 +1,7 @@
 """Metropolis–Hastings moves that leave the posterior given all readings invariant."""
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -8,7 +9,10 @@ from numpy.typing import NDArray
 
 from estimator.kernels.densities import (
     FUSED,
+    MODEL,
+    Model,
     add_place_densities,
+    derived_of,
     greatest_log_density,
     is_a_normal_density,
     is_fused,
@@ -17,98 +21,95 @@ from estimator.kernels.densities import (
 )
 from estimator.kernels.draws import key_of, uniform, word_at
 from plume.compiled import kernel
-from plume.kernels import DERIVED, NOISES, derive, is_location_only, is_plain
+from plume.kernels import NOISES, derive, is_plain
 from plume.numerics import direction, dot, exp, log, total_of
-from plume.parameters import LOGNORMAL, PHI, X, Y
+from plume.parameters import LOGNORMAL, PHI, Y
 
 Array = NDArray[np.float64]
 
-EVERYTHING, PLACE, REST = 0, 1, 2
-"""What a proposal changes: all unknowns, those of the place, or the others."""
-FREEDOM = 4.0
-"""Degrees of freedom of the independent proposals: their tails are heavier than a posterior's."""
-TINY = 1e-12
-"""A variance that keeps a collapsed cloud's covariance regular, m²."""
-BLOCK = 256
-"""Proposals that are judged together: their arrays stay in the processor's first-level cache."""
+EVERYTHING, PLACE, REST = 0, 1, 2  # what a proposal changes: all unknowns, those of the place, or the others
+FREEDOM = 4.0  # degrees of freedom of independent proposals: their tails are heavier than a posterior's
+TINY = 1e-12  # a variance that keeps a collapsed cloud's covariance regular, m²
+BLOCK = 256  # proposals that are judged together: their arrays stay in the processor's first-level cache
+# Accepted moves for each particle after which further sweeps would hardly change the cloud: of the place
+# alone, and of more unknowns.
 ENOUGH, ENOUGH_OF_MORE = 0.5, 2.0
-"""Accepted moves for each particle after which further sweeps would hardly change the cloud: of the place
-alone, and of more unknowns.
-"""
+
+
+class Block(NamedTuple):
+    """Proposals that are judged together. Those still in the race are in front."""
+
+    particles: Array  # (D, BLOCK)
+    derived: Array  # their columns of `plume.kernels.derive`; empty if only the location is unknown
+    targets: Array  # (BLOCK,) log density of the prior and the readings so far
+    needed: Array  # (BLOCK,) the log target that is accepted
+    owners: NDArray[np.int64]  # (BLOCK,) the particle that would move there
+    scratch: Array  # (7, BLOCK)
 
 
 @numba.njit(error_model="numpy")
-def _propose(
-    particles: Array,
-    pool: Array,
-    stds: Array,
-    unknowns: NDArray[np.int64],
-    priors: Array,
-    block: int,
-    key: np.uint64,
-    proposals: Array,
-    needed: Array,
+def _is_moved(unknown: int, block: int) -> bool:
+    return block == EVERYTHING or (unknown <= Y) == (block == PLACE)
+
+
+@numba.njit(error_model="numpy")
+def _propose_steps(
+    particles: Array, pool: Array, model: Model, block: int, key: np.uint64, proposals: Array
 ) -> None:
-    """Fill `proposals` (D, M) with a step for each particle (D, M) (differential evolution, ter Braak
-    2006).
+    """Fill `proposals` with a step from each particle, (D, N) (differential evolution, ter Braak 2006).
 
     A step is a scaled difference of two members of the pool (D, N) plus a little uniform noise. Such steps
     follow curved and multimodal posteriors. Log-normal unknowns step in their logarithm, in which the pool
-    holds them. If a proposal leaves the prior's support, its `needed` becomes infinite, so that it is
-    rejected. (Reflection at the ends would make correlated steps asymmetric.)
+    holds them.
     """
     rows, count = particles.shape
     moved = 0
-    for row in range(rows):
-        of_place = unknowns[row] == X or unknowns[row] == Y
-        moved += block == EVERYTHING or of_place == (block == PLACE)
+    for unknown in model.unknowns:
+        moved += _is_moved(unknown, block)
     largest = 2.38 / math.sqrt(2.0 * moved)
     ones, others, scales = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count)
-    size, low_half, half = np.uint64(pool.shape[1]), np.uint64(0xFFFFFFFF), np.uint64(32)
+    size, low_half, half = np.uint64(count), np.uint64(0xFFFFFFFF), np.uint64(32)
     for i in range(count):
         word = word_at(key, 2 * i)
         ones[i] = ((word >> half) * size) >> half
         others[i] = ((word & low_half) * size) >> half
-        chance = 3 * uniform(key, 2 * i + 1)
-        scales[i] = largest * (
-            0.7 if chance < 1 else 0.35 if chance < 2 else 0.12
-        )  # smaller steps for thin ridges
+        chance = 3 * uniform(key, 2 * i + 1)  # smaller steps for thin ridges
+        scales[i] = largest * (0.7 if chance < 1 else 0.35 if chance < 2 else 0.12)
     for row in range(rows):
-        of_place = unknowns[row] == X or unknowns[row] == Y
-        if not (block == EVERYTHING or of_place == (block == PLACE)):
+        unknown = model.unknowns[row]
+        if not _is_moved(unknown, block):
             for i in range(count):
                 proposals[row, i] = particles[row, i]
             continue
-        low, high = priors[unknowns[row], 3], priors[unknowns[row], 4]
+        offsets = pool[row] - total_of(pool[row]) / count
+        std = math.sqrt(dot(offsets, offsets) / count)
         first = (2 + row) * count
         for i in range(count):
             noise = 0.17 * (uniform(key, first + i) - 0.5)
-            proposals[row, i] = scales[i] * (pool[row, ones[i]] - pool[row, others[i]]) + noise * stds[row]
-        if priors[unknowns[row], 0] == LOGNORMAL:
+            proposals[row, i] = scales[i] * (pool[row, ones[i]] - pool[row, others[i]]) + noise * std
+        low, high = model.priors[unknown, 3], model.priors[unknown, 4]
+        if model.priors[unknown, 0] == LOGNORMAL:
             for i in range(count):
                 proposals[row, i] = particles[row, i] * exp(proposals[row, i])
         else:
             for i in range(count):
                 proposals[row, i] += particles[row, i]
-            if unknowns[row] == PHI and high - low == 2 * math.pi:
+            if unknown == PHI and high - low == 2 * math.pi:
                 for i in range(count):
                     proposals[row, i] = low + (proposals[row, i] - low) % (2 * math.pi)
-        for i in range(count):
-            inside = low <= proposals[row, i] <= high
-            needed[i] = needed[i] if inside else np.inf
 
 
 @numba.njit(error_model="numpy")
-def _propose_place(states: Array, priors: Array, key: np.uint64, proposals: Array, needed: Array) -> None:
-    """Fill `proposals` (2, N) with places that do not depend on the states: Student's t with the
-    particles' mean and covariance.
+def _propose_places(particles: Array, key: np.uint64, proposals: Array, needed: Array) -> None:
+    """Fill `proposals` (2, N) with places that do not depend on the particles': Student's t with their mean
+    and covariance.
 
-    A posterior that is close to normal accepts most of them. `needed` becomes what the log target of a
-    proposal has to reach, by the ratio of the proposal's densities.
+    A posterior that is close to normal accepts most of them. `needed` takes in the ratio of the proposal's
+    densities.
     """
-    count = states.shape[1]
-    mean_x, mean_y = total_of(states[0]) / count, total_of(states[1]) / count
-    dx, dy = states[0] - mean_x, states[1] - mean_y
+    count = particles.shape[1]
+    mean_x, mean_y = total_of(particles[0]) / count, total_of(particles[1]) / count
+    dx, dy = particles[0] - mean_x, particles[1] - mean_y
     xx, xy, yy = dot(dx, dx) / count, dot(dx, dy) / count, dot(dy, dy) / count
     a = math.sqrt(max(xx, TINY))
     b = xy / a
@@ -123,57 +124,80 @@ def _propose_place(states: Array, priors: Array, key: np.uint64, proposals: Arra
         one = dx[i] * inverse_a
         two = (dy[i] - b * one) * inverse_c
         needed[i] += 0.5 * (FREEDOM + 2) * log((FREEDOM + one * one + two * two) / (FREEDOM + square))
-    for i in range(count):
-        inside = (
-            priors[X, 3] <= proposals[0, i] <= priors[X, 4]
-            and priors[Y, 3] <= proposals[1, i] <= priors[Y, 4]
-        )
-        needed[i] = needed[i] if inside else np.inf
 
 
 @numba.njit(error_model="numpy")
-def _judge(
-    proposals: Array,
-    derived: Array,
-    targets: Array,
-    needed: Array,
-    owners: NDArray[np.int64],
-    alive: int,
-    readings: Array,
-    bounds: Array,
-    priors: Array,
-    sensor: Array,
-    scratch: Array,
-    fused: bool,
-) -> int:
+def _refuse_outside(proposals: Array, model: Model, needed: Array) -> None:
+    """Make `needed` infinite where a proposal leaves the prior's support. (Reflection at the ends would make
+    correlated steps asymmetric.)
+    """
+    for row in range(len(proposals)):
+        low, high = model.priors[model.unknowns[row], 3], model.priors[model.unknowns[row], 4]
+        for i in range(len(needed)):
+            inside = low <= proposals[row, i] <= high
+            needed[i] = needed[i] if inside else np.inf
+
+
+@numba.njit(error_model="numpy")
+def _bounds(readings: Array, model: Model) -> Array:
+    """Return (2, T): the greatest log-likelihood of all readings before each, and the sum of the shares of
+    those that have noise.
+    """
+    bounds = np.zeros((2, len(readings)))
+    for t in range(len(readings) - 1):
+        gas, share = readings[t, 5], readings[t, 6]
+        bounds[0, t + 1] = bounds[0, t] + share * greatest_log_density(gas, model.sensor, model.priors)
+        bounds[1, t + 1] = bounds[1, t] + share * is_a_normal_density(gas, model.sensor)
+    return bounds
+
+
+@numba.njit(error_model="numpy")
+def _keep_possible(block: Block, alive: int, possible: Array) -> int:
+    """Bring to the front those of the first `alive` proposals whose `possible` is not negative; returns how
+    many.
+    """
+    particles, derived, targets, needed, owners, _ = block
+    keepers, kept = np.empty(alive, np.int64), 0
+    for j in range(alive):
+        keepers[kept] = j
+        kept += possible[j] >= 0
+    for row in range(len(particles)):
+        for j in range(kept):
+            particles[row, j] = particles[row, keepers[j]]
+    for row in range(len(derived)):
+        for j in range(kept):
+            derived[row, j] = derived[row, keepers[j]]
+    for j in range(kept):
+        owners[j], targets[j], needed[j] = owners[keepers[j]], targets[keepers[j]], needed[keepers[j]]
+    return kept
+
+
+@numba.njit(error_model="numpy")
+def _judge(block: Block, alive: int, readings: Array, bounds: Array, model: Model, fused: bool) -> int:
     """Add the log-likelihood of all readings to the targets of the first `alive` proposals; returns how
     many are accepted, now in front.
 
-    bounds: (2, T) the greatest log-likelihood of all readings before each, and the sum of the shares of
-    those that have noise. Readings are evaluated newest first, since the newest is the most likely to
-    reject. A proposal is given up early if it cannot reach `needed` even with the best possible likelihood
-    of the remaining readings. This changes no decision.
+    Readings are evaluated newest first, since the newest is the most likely to reject. A proposal is given
+    up early if it cannot reach `needed` even with the best possible likelihood of the remaining readings
+    (`_bounds`). This changes no decision.
     """
-    rows = len(proposals)
-    last = len(readings) - 1
-    plain = is_plain(priors)
+    particles, derived, targets, needed, _, scratch = block
     means, densities, log_noises, possible = scratch[0], scratch[1], scratch[2], scratch[3]
-    keepers = np.empty(alive, np.int64)
+    plain = is_plain(model.priors)
+    last = len(readings) - 1
     back = next_check = 0
-    while back <= last:
-        t = last - back
+    while back <= last and alive > 0:
+        t = newest = last - back
         share = readings[t, 6]
         if fused and share == 1.0:
-            newest = t
             while t > 0 and last - t < next_check and newest - t + 1 < FUSED and readings[t - 1, 6] == 1.0:
                 t -= 1
-            back = last - t
-            add_place_densities(proposals, alive, readings, t, newest, priors, sensor, scratch[3:], targets)
+            add_place_densities(particles, alive, readings[t : newest + 1], model, scratch[4:], targets)
         else:
-            reading_densities(proposals, derived, alive, readings[t], priors, sensor, means, densities)
+            reading_densities(particles, derived, alive, readings[t], model, means, densities)
             for j in range(alive):
                 targets[j] += share * densities[j]
-        back += 1
+        back = last - t + 1
         if back > next_check or t == 0:
             next_check = 2 * back - 1
             if not plain:
@@ -181,79 +205,66 @@ def _judge(
                     log_noises[j] = log(derived[NOISES, j])
             for j in range(alive):
                 possible[j] = targets[j] + bounds[0, t] - 0.5 * bounds[1, t] * log_noises[j] - needed[j]
-            kept = 0
-            for j in range(alive):
-                keepers[kept] = j
-                kept += possible[j] >= 0
-            for row in range(rows):
-                for j in range(kept):
-                    proposals[row, j] = proposals[row, keepers[j]]
-            for row in range(len(derived)):
-                for j in range(kept):
-                    derived[row, j] = derived[row, keepers[j]]
-            for j in range(kept):
-                owners[j], targets[j], needed[j] = owners[keepers[j]], targets[keepers[j]], needed[keepers[j]]
-            alive = kept
-            if alive == 0:
-                break
+            alive = _keep_possible(block, alive, possible)
     return alive
 
 
-@kernel(
-    "int64(float64[:, ::1], float64[::1], int64[::1], int64, float64[:, ::1], int64[::1], float64[:, ::1], "
-    "float64[::1], uint64, "
-    "int64, int64)"
-)
-def resample_move(
-    particles: Array,
-    log_targets: Array,
-    ancestors: NDArray[np.int64],
-    sweeps: int,
-    readings: Array,
-    unknowns: NDArray[np.int64],
-    priors: Array,
-    sensor: Array,
-    seed: int,
-    step: int,
-    stage: int,
+@numba.njit(error_model="numpy")
+def _accept(
+    particles: Array, log_targets: Array, proposals: Array, needed: Array, readings: Array, model: Model
 ) -> int:
-    """Replace the particles (D, N) by their ancestors (N,), and move these by Metropolis–Hastings sweeps.
+    """Move each particle to its proposal (D, N) if that one's log target reaches `needed`; returns how many
+    moved.
+    """
+    rows, count = particles.shape
+    bounds, fused = _bounds(readings, model), is_fused(readings, model)
+    few, derived, scratch = np.empty((rows, BLOCK)), derived_of(BLOCK, model), np.zeros((7, BLOCK))
+    owners, targets, thresholds = np.empty(BLOCK, np.int64), np.empty(BLOCK), np.empty(BLOCK)
+    block, accepted = Block(few, derived, targets, thresholds, owners, scratch), 0
+    for first in range(0, count, BLOCK):
+        size = min(BLOCK, count - first)
+        for row in range(rows):
+            for j in range(size):
+                few[row, j] = proposals[row, first + j]
+        for j in range(size):
+            owners[j], thresholds[j] = first + j, needed[first + j]
+            targets[j] = log_prior(few, j, model)
+        if len(derived):
+            derive(few, size, model.unknowns, model.priors, derived)
+        size = _judge(block, size, readings, bounds, model, fused)
+        for j in range(size):
+            for row in range(rows):
+                particles[row, owners[j]] = few[row, j]
+            log_targets[owners[j]] = targets[j]
+        accepted += size
+    return accepted
 
-    The sweeps leave the posterior given all readings invariant. They end when ENOUGH moves have been
-    accepted, or after `sweeps`.
+
+@kernel(
+    numba.int64(
+        *(numba.float64[:, ::1], numba.float64[::1], numba.float64[:, ::1], MODEL),
+        *(numba.int64, numba.uint64, numba.int64),
+    )
+)
+def move(
+    particles: Array, log_targets: Array, readings: Array, model: Model, sweeps: int, seed: int, stage: int
+) -> int:
+    """Move the particles (D, N) by Metropolis–Hastings sweeps, which leave the posterior given all readings
+    (T, 7) invariant.
+
+    They end when ENOUGH moves have been accepted, or after `sweeps`. Random numbers are keyed by the seed,
+    the number of readings and the stage.
     log_targets: (N,) log posterior density of each particle up to a constant.  Returns the number of
     accepted moves.
     """
     rows, count = particles.shape
-    last = len(readings) - 1
-    only_location = is_location_only(unknowns, priors)
-    fused = is_fused(unknowns, readings, priors, sensor)
-    only_place = rows == 2 and unknowns[0] == X and unknowns[1] == Y
-    pool, stds, before = np.empty((rows, count)), np.empty(rows), log_targets.copy()
-    for i in range(count):
-        log_targets[i] = before[ancestors[i]]
+    step, unknowns = len(readings) - 1, model.unknowns
+    only_place = rows == 2 and unknowns[1] == Y
+    pool, proposals, needed = particles.copy(), np.empty((rows, count)), np.empty(count)
     for row in range(rows):
-        for i in range(count):
-            pool[row, i] = particles[row, ancestors[i]]
-        for i in range(count):
-            particles[row, i] = pool[row, i]
-        if priors[unknowns[row], 0] == LOGNORMAL:
+        if model.priors[unknowns[row], 0] == LOGNORMAL:
             for i in range(count):
                 pool[row, i] = log(pool[row, i])
-        offsets = pool[row] - total_of(pool[row]) / count
-        stds[row] = math.sqrt(dot(offsets, offsets) / count)
-    bounds = np.zeros((2, last + 1))
-    for t in range(last):
-        share = readings[t, 6]
-        bounds[0, t + 1] = bounds[0, t] + share * greatest_log_density(readings[t, 5], sensor, priors)
-        bounds[1, t + 1] = bounds[1, t] + share * is_a_normal_density(readings[t, 5], sensor)
-    proposals, needed = np.empty((rows, count)), np.empty(count)
-    few, derived, scratch = (
-        np.empty((rows, BLOCK)),
-        np.empty((0 if only_location else DERIVED, BLOCK)),
-        np.zeros((6, BLOCK)),
-    )
-    owners, targets, thresholds = np.empty(BLOCK, np.int64), np.empty(BLOCK), np.empty(BLOCK)
     accepted, enough = 0, ENOUGH if only_place else ENOUGH_OF_MORE
     for sweep in range(sweeps):
         key = key_of(seed, step, stage, 2 * sweep + 2)
@@ -261,40 +272,12 @@ def resample_move(
             needed[i] = log_targets[i] + log(uniform(key, i))
         key = key_of(seed, step, stage, 2 * sweep + 1)
         if only_place and sweep == 0:
-            _propose_place(particles, priors, key, proposals, needed)
+            _propose_places(particles, key, proposals, needed)
         else:
             block = sweep % 3 if rows > 3 and unknowns[0] <= Y else EVERYTHING
-            _propose(particles, pool, stds, unknowns, priors, block, key, proposals, needed)
-        for first in range(0, count, BLOCK):
-            size = min(BLOCK, count - first)
-            for row in range(rows):
-                for j in range(size):
-                    few[row, j] = proposals[row, first + j]
-            for j in range(size):
-                owners[j] = first + j
-                thresholds[j] = needed[first + j]
-                targets[j] = log_prior(few, j, unknowns, priors)
-            if not only_location:
-                derive(few, size, unknowns, priors, derived)
-            size = _judge(
-                few,
-                derived,
-                targets,
-                thresholds,
-                owners,
-                size,
-                readings,
-                bounds,
-                priors,
-                sensor,
-                scratch,
-                fused,
-            )
-            for j in range(size):
-                for row in range(rows):
-                    particles[row, owners[j]] = few[row, j]
-                log_targets[owners[j]] = targets[j]
-            accepted += size
+            _propose_steps(particles, pool, model, block, key, proposals)
+        _refuse_outside(proposals, model, needed)
+        accepted += _accept(particles, log_targets, proposals, needed, readings, model)
         if accepted >= enough * count:
             break
     return accepted

@@ -1,129 +1,122 @@
 """Assimilates one reading: reweight; if the weights degenerate, resample and move."""
 
+from typing import NamedTuple
+
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.kernels.checks import predictive_rank
-from estimator.kernels.densities import reading_densities
+from estimator.kernels.densities import MODEL, Model, derived_of, reading_densities, tuple_type
 from estimator.kernels.draws import key_of, uniform
-from estimator.kernels.moves import resample_move
+from estimator.kernels.moves import move
 from estimator.kernels.weights import systematic, tempered_share
 from plume.compiled import kernel
-from plume.kernels import DERIVED, derive, is_location_only
+from plume.kernels import derive
 
 Array = NDArray[np.float64]
 
-RESAMPLE_BELOW = 0.5
-"""Resample if the effective sample size falls below this share of N."""
+RESAMPLE_BELOW = 0.5  # resample if the effective sample size falls below this share of N
+# Most tempered stages per reading. The rest of its likelihood is dropped, so that no admitted reading
+# collapses the sample to a point.
 MAX_STAGES = 40
-"""Most tempered stages per reading. The rest of its likelihood is dropped, so that no admitted reading
-collapses the cloud to a point.
-"""
 
 
-@kernel(
-    "float64(float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], int64[::1], "
-    "float64[:, ::1], float64[::1], "
-    "uint64, int64)",
-    nogil=True,
-)
-def update(
-    particles: Array,
-    log_weights: Array,
-    weights: Array,
-    log_targets: Array,
-    readings: Array,
-    unknowns: NDArray[np.int64],
-    priors: Array,
-    sensor: Array,
-    seed: int,
-    sweeps: int,
-) -> float:
+class WeightedSample(NamedTuple):
+    """Weighted particles; `update` changes the arrays in place."""
+
+    particles: Array  # (D, N), one row per unknown
+    log_weights: Array  # (N,) up to a constant
+    weights: Array  # (N,) exp(log_weights), scaled so that the greatest is 1
+    log_targets: Array  # (N,) log posterior density given all readings so far, up to a constant
+
+
+ROW, TABLE, STACK = numba.float64[::1], numba.float64[:, ::1], numba.float64[:, :, ::1]
+SAMPLE = tuple_type((TABLE, ROW, ROW, ROW), WeightedSample)
+SAMPLES = tuple_type((STACK, TABLE, TABLE, TABLE), WeightedSample)
+MODELS = tuple_type((numba.int64[::1], STACK, TABLE), Model)
+
+
+@numba.njit(error_model="numpy")
+def reweight(sample: WeightedSample, log_densities: Array, exponent: float) -> tuple[float, float]:
+    """Multiply the weights by likelihoods (N,), of which `exponent` has been taken already.
+
+    Returns the exponent taken by now, 1 unless this would reduce the effective sample size too much
+    (`tempered_share`), and that size.
+    """
+    _, log_weights, weights, log_targets = sample
+    left = 1.0 - exponent
+    share, size = tempered_share(log_weights, log_densities, left, weights)
+    for i in range(len(weights)):
+        log_weights[i] += share * log_densities[i]
+        log_targets[i] += share * log_densities[i]
+    return 1.0 if share >= left else exponent + share, size
+
+
+@numba.njit(error_model="numpy")
+def resample(sample: WeightedSample, offset: float) -> None:
+    """Replace the particles by their ancestors, of equal weight, by `systematic` resampling."""
+    particles, log_weights, weights, log_targets = sample
+    ancestors = systematic(weights, offset)
+    old_particles, old_targets = particles.copy(), log_targets.copy()
+    for row in range(len(particles)):
+        for i in range(len(ancestors)):
+            particles[row, i] = old_particles[row, ancestors[i]]
+    for i in range(len(ancestors)):
+        log_weights[i], weights[i], log_targets[i] = 0.0, 1.0, old_targets[ancestors[i]]
+
+
+@kernel(numba.float64(SAMPLE, TABLE, MODEL, numba.uint64, numba.int64), nogil=True)
+def update(sample: WeightedSample, readings: Array, model: Model, seed: int, sweeps: int) -> float:
     """Assimilate the last of the readings (T, 7) in place, setting its share; returns its predictive rank.
 
     Reweight; if the weights degenerate, resample and move (Gordon 1993; Chopin 2002). A reading that would
-    reduce the effective sample size too much is taken in tempered stages (Del Moral 2006).  weights: (N,)
-    exp(log_weights), scaled so that the greatest is 1.
+    reduce the effective sample size too much is taken in tempered stages (Del Moral 2006).
+    tests/estimator/test_textbook.py has the same in plain NumPy.
     """
-    count = particles.shape[1]
-    step = len(readings) - 1
-    reading = readings[step]
-    derived = np.empty((0 if is_location_only(unknowns, priors) else DERIVED, count))
-    means, densities = np.empty(count), np.empty(count)
-    rank = 0.5
-    exponent = 0.0
-    stage = 0
-    while True:
+    count, step = sample.particles.shape[1], len(readings) - 1
+    reading, derived = readings[step], derived_of(count, model)
+    means, log_densities = np.empty(count), np.empty(count)
+    rank, exponent = 0.5, 0.0
+    for stage in range(MAX_STAGES):
         if len(derived):
-            derive(particles, count, unknowns, priors, derived)
-        reading_densities(particles, derived, count, reading, priors, sensor, means, densities)
+            derive(sample.particles, count, model.unknowns, model.priors, derived)
+        reading_densities(sample.particles, derived, count, reading, model, means, log_densities)
         if stage == 0:
             chance = uniform(key_of(seed, step, 0, 1000), 0)
-            rank = predictive_rank(means, derived, weights, reading[5], priors, sensor, chance)
-        left = 1.0 - exponent
-        share, size = tempered_share(log_weights, densities, left, weights)
-        exponent = 1.0 if share >= left else exponent + share
+            rank = predictive_rank(means, derived, sample.weights, reading[5], model, chance)
+        exponent, size = reweight(sample, log_densities, exponent)
         reading[6] = exponent
-        for i in range(count):
-            log_weights[i] += share * densities[i]
-            log_targets[i] += share * densities[i]
         if size < RESAMPLE_BELOW * count:
-            ancestors = systematic(weights, uniform(key_of(seed, step, stage, 0), 0))
-            resample_move(
-                particles,
-                log_targets,
-                ancestors,
-                sweeps,
-                readings,
-                unknowns,
-                priors,
-                sensor,
-                seed,
-                step,
-                stage,
-            )
-            log_weights[:] = 0.0
-            weights[:] = 1.0
-            stage += 1
-        if exponent == 1.0 or stage == MAX_STAGES:
-            return rank
+            resample(sample, uniform(key_of(seed, step, stage, 0), 0))
+            move(sample.particles, sample.log_targets, readings, model, sweeps, seed, stage)
+        if exponent == 1.0:
+            break
+    return rank
 
 
 @kernel(
-    "void(float64[:, :, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], "
-    "float64[:, ::1], int64[::1], "
-    "int64[::1], float64[:, :, ::1], float64[:, ::1], uint64[::1], int64, int64[::1])",
+    numba.void(
+        *(SAMPLES, STACK, TABLE, numba.int64[::1], MODELS, numba.uint64[::1], numba.int64, numba.int64[::1])
+    ),
     nogil=True,
 )
 def update_missions(
-    particles: Array,
-    log_weights: Array,
-    weights: Array,
-    log_targets: Array,
+    samples: WeightedSample,
     readings: Array,
     ranks: Array,
     counts: NDArray[np.int64],
-    unknowns: NDArray[np.int64],
-    priors: Array,
-    sensors: Array,
+    models: Model,
     seeds: NDArray[np.uint64],
     sweeps: int,
     missions: NDArray[np.int64],
 ) -> None:
     """Apply `update` to each of these missions of a batch, with its first `counts` readings; arrays as in
-    `update`, stacked.
+    `update`, stacked, but for the unknowns, which all share.
     """
+    particles, log_weights, weights, log_targets = samples
+    unknowns, priors, sensors = models
     for b in missions:
-        count = counts[b]
-        ranks[b, count - 1] = update(
-            particles[b],
-            log_weights[b],
-            weights[b],
-            log_targets[b],
-            readings[b, :count],
-            unknowns,
-            priors[b],
-            sensors[b],
-            seeds[b],
-            sweeps,
-        )
+        sample = WeightedSample(particles[b], log_weights[b], weights[b], log_targets[b])
+        model, count = Model(unknowns, priors[b], sensors[b]), counts[b]
+        ranks[b, count - 1] = update(sample, readings[b, :count], model, seeds[b], sweeps)

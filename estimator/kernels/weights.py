@@ -9,10 +9,8 @@ from plume.numerics import dot, exp, total_of
 
 Array = NDArray[np.float64]
 
+# If a reading would bring the effective sample size below this share of N, it is taken in tempered stages.
 STAGE_FLOOR = 0.4
-"""If a reading would bring the effective sample size below this share of N, it is taken in tempered
-stages.
-"""
 
 
 @numba.njit(error_model="numpy")

@@ -20,7 +20,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from agent import network
-from agent.bundle import FORMAT, GRAPH, MOST_BYTES, PAGE, BundleError, Page, Point, load, read, write
+from agent.bundle import FORMAT, GRAPH, MOST_BYTES, PAGE, BundleError, CurvePoint, Page, load, read, write
 from agent.observation import SCHEMAS
 from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
 from agent.policies import SHIPPED, choose
@@ -92,7 +92,7 @@ def page_of(schema: str = "paper", move: Move | None = None, **changes: Any) -> 
         "move": move or Headings(4),
         "seed": 3,
         "training": {"layers": [8]},
-        "curve": [Point(10, 0.5, 0.25, None), Point(20, 1.0, 1.0, 31.5)],
+        "curve": [CurvePoint(10, 0.5, 0.25, None), CurvePoint(20, 1.0, 1.0, 31.5)],
         "evaluation": {},
     }
     return Page(**(fields | changes))

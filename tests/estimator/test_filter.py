@@ -39,9 +39,7 @@ def test_a_reading_that_would_crush_the_weights_is_taken_in_stages() -> None:
     config = config_for(s, 1, 1000)
     ((reading, posterior),) = posteriors(s, 1, [(19.5, 19.875)], config)
     before = prior(config)
-    log_weights = log_likelihoods(
-        before.particles, config.unknown_indices, config.prior_rows, config.sensor_row, config.row(reading)
-    )
+    log_weights = log_likelihoods(before.particles, config.model, config.row(reading))
     weights = np.exp(log_weights - log_weights.max())
     assert (
         weights.sum() ** 2 / (weights**2).sum() < 20

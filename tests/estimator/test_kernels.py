@@ -128,7 +128,7 @@ def uniforms(seed: int, step: int, count: int) -> np.ndarray:
 
 
 def fused(config: Config, particles: np.ndarray, reading: np.ndarray) -> np.ndarray:
-    return log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, reading)
+    return log_likelihoods(particles, config.model, reading)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from numba import njit
 from estimator.filter import Config
 from estimator.kernels.densities import log_likelihoods, log_priors
 from estimator.kernels.draws import key_of, uniform
-from estimator.kernels.moves import resample_move
+from estimator.kernels.moves import move
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from plume.dispersion import concentration
 from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, text
@@ -25,7 +25,7 @@ READINGS = np.array(
         [11.0, 12.0, 0.0, 1.9, 2.6, 1.1, 1.0],
     ]
 )
-SEED, STEP = 9, 2
+SEED = 9
 
 Shares = tuple[float, float, float]
 WHOLE: Shares = (1.0, 1.0, 1.0)
@@ -43,11 +43,9 @@ def shared(shares: Shares) -> Array:
 
 def targets_of(particles: Array, config: Config, readings: Array) -> Array:
     """Log posterior density up to a constant."""
-    targets = log_priors(particles, config.unknown_indices, config.prior_rows)
+    targets = log_priors(particles, config.model)
     for row in readings:
-        targets += row[6] * log_likelihoods(
-            particles, config.unknown_indices, config.prior_rows, config.sensor_row, row
-        )
+        targets += row[6] * log_likelihoods(particles, config.model, row)
     return targets
 
 
@@ -56,10 +54,8 @@ def moved(start: Array, config: Config, readings: Array, sweeps: int, rounds: in
     accepted moves.
     """
     particles, targets, accepted = start.copy(), targets_of(start, config, readings), 0
-    everyone = np.arange(start.shape[1])
     for stage in range(rounds):
-        model = (config.unknown_indices, config.prior_rows, config.sensor_row, SEED, STEP, stage)
-        accepted += resample_move(particles, targets, everyone, sweeps, readings, *model)
+        accepted += move(particles, targets, readings, config.model, sweeps, SEED, stage)
     # The densities that the particles carry along are those of where they are now.
     assert targets == pytest.approx(targets_of(particles, config, readings), rel=1e-9, abs=1e-7)
     return particles, accepted
@@ -203,11 +199,10 @@ def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: S
         "tau": (5, 20),
     }
     start = np.array([rng.uniform(*near[name], count) for name in config.unknowns])
-    targets, everyone = targets_of(start, config, readings), np.arange(count)
-    model = (1, readings, config.unknown_indices, config.prior_rows, config.sensor_row, SEED, STEP, 0)
+    targets, how = targets_of(start, config, readings), (readings, config.model, 1, SEED, 0)
     proposals, said = start.copy(), np.full(count, -1e300)
-    resample_move(proposals, said, everyone, *model)
-    needed = targets + np.log(first_uniforms(SEED, STEP, 0, 2, count))
+    move(proposals, said, *how)
+    needed = targets + np.log(first_uniforms(SEED, len(readings) - 1, 0, 2, count))
     if not priors:  # proposals that do not depend on the particle: Student's t with 4 degrees of freedom, density (1 + r²/4)^-3
         precision = np.linalg.inv(np.cov(start, ddof=0))
         for sign, places in ((1, proposals), (-1, start)):
@@ -216,7 +211,7 @@ def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: S
     left = (proposals == start).all(axis=0)  # outside the support
     wanted = (targets_of(proposals, config, readings) >= needed) & ~left
     particles, carried = start.copy(), targets.copy()
-    accepted = resample_move(particles, carried, everyone, *model)
+    accepted = move(particles, carried, *how)
     assert 20 < accepted == wanted.sum() < count - 20
     assert np.array_equal(particles, np.where(wanted, proposals, start))
 
@@ -357,8 +352,7 @@ def test_a_sweep_without_a_place_still_moves() -> None:
     start = np.random.default_rng(9).uniform(1.0, 2.0, (4, 500))
     for stage in range(2):
         particles, targets = start.copy(), targets_of(start, config, shared(WHOLE)) + 1e6
-        model = (config.unknown_indices, config.prior_rows, config.sensor_row, SEED, STEP, stage)
         # No proposal reaches these densities: nothing is accepted, neither is a move to the same place
         # counted.
-        assert resample_move(particles, targets, np.arange(500), 3, shared(WHOLE), *model) == 0
+        assert move(particles, targets, shared(WHOLE), config.model, 3, SEED, stage) == 0
         assert np.array_equal(particles, start)

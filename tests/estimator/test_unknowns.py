@@ -9,7 +9,7 @@ import pytest
 
 from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.kernels.densities import log_likelihoods
-from estimator.kernels.moves import resample_move
+from estimator.kernels.moves import move
 from estimator.priors import Fixed, Gamma, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.dispersion import concentration
@@ -103,13 +103,9 @@ def test_a_direction_is_moved_across_the_seam_of_its_circle(low: float, truth: f
     rows = np.array([config.row(reading) for reading in readings])
     for start in (low + 0.2, low + TURN - 0.2):
         particles = np.random.default_rng(1).uniform(start - 0.2, start + 0.2, (1, 4000))
-        targets = sum(
-            log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, row)
-            for row in rows
-        )
-        model = (rows, config.unknown_indices, config.prior_rows, config.sensor_row)
+        targets = sum(log_likelihoods(particles, config.model, row) for row in rows)
         for stage in range(60):
-            resample_move(particles, targets, np.arange(4000), 3, *model, 5, 5, stage)
+            move(particles, targets, rows, config.model, 3, 5, stage)
         assert low <= particles.min() <= particles.max() <= low + TURN
         # Steps depend on the population, so the chains are not quite independent: twice the 4 standard
         # errors.
@@ -180,9 +176,7 @@ def test_a_known_height_is_not_the_one_that_is_flown_at() -> None:
     config = Config(rate=Q, diffusivity=D, lifetime=TAU, priors={"z": Fixed(1.5)})
     row = config.row(Reading(0, (14.0, 13.5), 5.0, (1.2, 1.6), 1.0))
     assert row.tolist() == [14.0, 13.5, 5.0, 1.2, 1.6, 1.0, 1.0]
-    said = log_likelihoods(
-        np.array([[13.0], [12.0]]), config.unknown_indices, config.prior_rows, config.sensor_row, row
-    )
+    said = log_likelihoods(np.array([[13.0], [12.0]]), config.model, row)
     mean = mean_at((14.0, 13.5), math.atan2(1.6, 1.2), 3.5)
     assert said[0] == pytest.approx(float(GAUSSIAN.log_likelihood(1.0, mean)), rel=1e-12)
     # By default the source lies in the flight plane.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from agent.bundle import BundleError, Point, read
+from agent.bundle import BundleError, CurvePoint, read
 from agent.learn.train.folder import CheckpointError, checkpoints, claim
 from agent.learn.train.recipes import PRESETS, Recipe
 from agent.trials.progress import NARROW, progress_bar
@@ -19,8 +19,7 @@ from plume.randomness import MAX_SEED
 
 KEPT_IN = Path("runs/train")
 NEEDED = ("torch", "stable_baselines3", "gymnasium", "onnx", "tensorboard")
-EVALUATED_AT = (100, 1000, 4000)
-"""Numbers of particles with which a bundle's figures are measured."""
+EVALUATED_AT = (100, 1000, 4000)  # numbers of particles with which a bundle's figures are measured
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -164,7 +163,7 @@ def _learn(recipe: Recipe, seed: int, folder: Path, threads: int, bundle: Path) 
             tell(f"resuming from {kept[-1].name}")
         progress.update(task, stands="starting: first missions")
 
-        def show(point: Point, speed: float) -> None:
+        def show(point: CurvePoint, speed: float) -> None:
             mtd = "–" if point.mtd_m is None else f"{point.mtd_m:.1f} m"
             ceased = f"ceased {100 * point.ceased:.1f}% " if wide else ""
             stands = f"{speed:,.0f} moves/s {ceased}located {100 * point.located:.1f}% MTD {mtd}"

@@ -3,6 +3,7 @@ trains in it.
 """
 
 import fcntl
+from contextlib import ExitStack
 from pathlib import Path
 from typing import IO
 
@@ -25,38 +26,27 @@ def claim(folder: Path, recipe: Recipe, seed: int, bundle: Path) -> IO[bytes]:
     kept = [*checkpoints(folder), *([bundle] if bundle.exists() else [])]
     if kept and not path.exists():
         raise ValueError(f"{str(folder)!r} holds {kept[0].name} but no recipe.json; wanted an empty folder")
-    file = path.open("a+b")
-    try:
-        _claim(
-            file,
-            folder,
-            msgspec.json.format(msgspec.json.encode({"seed": seed, "recipe": recipe})),
-            bool(kept),
-        )
-    except BaseException:
-        file.close()
-        raise
+    said = msgspec.json.format(msgspec.json.encode({"seed": seed, "recipe": recipe}))
+    with ExitStack() as on_error:
+        file = on_error.enter_context(path.open("a+b"))
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(
+                f"another process trains in {str(folder)!r}; choose another folder, or wait until it ends"
+            ) from None
+        file.seek(0)
+        if file.read() != said:
+            if kept:
+                raise ValueError(
+                    f"{str(folder)!r} holds a run of another recipe or seed; wanted an empty folder, or the "
+                    "command of that run"
+                )
+            file.truncate(0)
+            file.write(said)
+            file.flush()
+        on_error.pop_all()
     return file
-
-
-def _claim(file: IO[bytes], folder: Path, said: bytes, keeps: bool) -> None:
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise ValueError(
-            f"another process trains in {str(folder)!r}; choose another folder, or wait until it ends"
-        ) from None
-    file.seek(0)
-    if file.read() == said:
-        return
-    if keeps:
-        raise ValueError(
-            f"{str(folder)!r} holds a run of another recipe or seed; wanted an empty folder, or the command "
-            "of that run"
-        )
-    file.truncate(0)
-    file.write(said)
-    file.flush()
 
 
 def checkpoints(folder: Path) -> list[Path]:

@@ -7,8 +7,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-OPSET, IR = 17, 8
-"""Old enough for every onnxruntime in use."""
+OPSET, IR = 17, 8  # old enough for every onnxruntime in use
 KINDS: dict[type[nn.Module], str] = {nn.ReLU: "Relu", nn.Tanh: "Tanh"}
 
 

@@ -3,7 +3,6 @@
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import closing
 from pathlib import Path
 
 import msgspec
@@ -11,8 +10,7 @@ import msgspec
 from agent.bundle import read, write
 from agent.learn.env import Settings
 from agent.trials.evaluate import FIRST_TEST_SEED, named, print_table
-from agent.trials.progress import with_bar
-from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
+from agent.trials.sweep import Sweep, flown, journal_of, on_cores
 from estimator.criterion import Criterion
 
 
@@ -34,12 +32,8 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
     sweep = Sweep([str(bundle)], seeds, particles, (stop,), knowledge={"assume": settings.assume})
     journal = journal_of(sweep, bundle.parent)
     workers = os.cpu_count() or 1
-    flights = fly_all(sweep, journal, on_cores(workers))
-    rows = []
-    with closing(with_bar(flights, sweep.count, "test missions", f"starting {workers} workers")) as flown:
-        for each in flown:
-            rows += each
-    evaluation = named(ordered(rows, sweep))
+    starting = f"starting {workers} workers"
+    evaluation = named(flown(sweep, journal, on_cores(workers), "test missions", starting))
     page = msgspec.structs.replace(
         page, evaluation={str(said["particles"]): said for said in evaluation.values()}
     )

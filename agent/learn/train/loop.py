@@ -26,18 +26,16 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from torch import nn
 from torch.utils.tensorboard import SummaryWriter
 
-from agent.bundle import Point
+from agent.bundle import CurvePoint
 from agent.learn.env import TRAINING_SEEDS, SourceSearchVector
 from agent.learn.sb3 import StableBaselinesEnv
 from agent.learn.train.folder import CheckpointError, checkpoints
 from agent.learn.train.recipes import Recipe
 from plume.randomness import derived_seed
 
-POINTS = 100
-"""Approximate number of points of a curve."""
+POINTS = 100  # approximate number of points of a curve
 
-Tell = Callable[[Point, float], None]
-"""(point of the curve, moves per second)."""
+Tell = Callable[[CurvePoint, float], None]  # (point of the curve, moves per second)
 
 
 class SlowActorDDPG(DDPG):
@@ -66,9 +64,8 @@ class RunState(msgspec.Struct):
     """The state of a run besides the learner."""
 
     steps: int = 0
-    curve: list[Point] = []
-    ended: list[EndedMission] = []
-    """Missions that ended since the last point of the curve."""
+    curve: list[CurvePoint] = []
+    ended: list[EndedMission] = []  # missions that ended since the last point of the curve
 
 
 def learner(recipe: Recipe, env: StableBaselinesEnv, seed: int) -> BaseAlgorithm:
@@ -173,11 +170,11 @@ class Legs(BaseCallback):
         self._writer.close()
 
 
-def point_of(steps: int, ended: list[EndedMission]) -> Point:
+def point_of(steps: int, ended: list[EndedMission]) -> CurvePoint:
     """Return the point of the curve for missions that ended."""
     distances = [mission.distance_m for mission in ended if mission.ceased]
     count = max(len(ended), 1)
-    return Point(
+    return CurvePoint(
         steps,
         sum(mission.ceased for mission in ended) / count,
         sum(mission.located for mission in ended) / count,
@@ -221,7 +218,7 @@ def _resumed(model: BaseAlgorithm, env: StableBaselinesEnv, path: Path) -> tuple
 
 def train(
     recipe: Recipe, seed: int, folder: Path, threads: int, tell: Tell
-) -> tuple[BaseAlgorithm, list[Point]]:
+) -> tuple[BaseAlgorithm, list[CurvePoint]]:
     """Train by a recipe, from the last checkpoint in the folder if there is one; returns the learner and
     its curve.
 

@@ -11,27 +11,17 @@ TRAIN_FREQ = {"dqn": 4, "ddpg": 1}
 class Recipe(msgspec.Struct, frozen=True, kw_only=True):
     """The settings of a training run, except its seed."""
 
-    algorithm: str
-    """`ppo`, `dqn` or `ddpg` of stable-baselines3."""
-    steps: int
-    """Total number of moves of all missions."""
-    missions: int
-    """Number of missions flown in parallel."""
-    env: dict[str, Any]
-    """Settings of `agent.learn.env.Settings`."""
-    layers: tuple[int, ...]
-    """Widths of the hidden layers, the same for policy and value."""
+    algorithm: str  # `ppo`, `dqn` or `ddpg` of stable-baselines3
+    steps: int  # total number of moves of all missions
+    missions: int  # number of missions flown in parallel
+    env: dict[str, Any]  # settings of `agent.learn.env.Settings`
+    layers: tuple[int, ...]  # widths of the hidden layers, the same for policy and value
     learning_rate: float
-    final_learning_rate: float
-    """The learning rate falls linearly to this value."""
-    settings: dict[str, Any]
-    """Other arguments of stable-baselines3's class."""
-    action_noise: float = 0.0
-    """DDPG's exploration noise: standard deviation, for actions in [−1, 1]."""
-    actor_learning_rate_share: float = 1.0
-    """DDPG's actor learns at this share of the critic's rate."""
-    checkpoint_steps: int = 100_000
-    """Moves between two checkpoints; at each one all missions begin anew."""
+    final_learning_rate: float  # the learning rate falls linearly to this value
+    settings: dict[str, Any]  # other arguments of stable-baselines3's class
+    action_noise: float = 0.0  # DDPG's exploration noise: standard deviation, for actions in [−1, 1]
+    actor_learning_rate_share: float = 1.0  # DDPG's actor learns at this share of the critic's rate
+    checkpoint_steps: int = 100_000  # moves between two checkpoints; at each one all missions begin anew
 
     @property
     def moves_at_a_time(self) -> int:
@@ -49,6 +39,7 @@ PAPER_LAYERS = (128, 128, 128)
 PAPER_ENV = {"observation": "paper", "reward": "paper", "headings": 4}
 TUNED_ENV = {"observation": "polar", "reward": "cost", "headings": 16}
 
+# The paper's settings; where it states none, those of stable-baselines3.
 PAPER = {
     "ppo": Recipe(
         algorithm="ppo",
@@ -89,8 +80,8 @@ PAPER = {
         settings={"batch_size": 64, "buffer_size": 1000, "learning_starts": 1000, "gamma": 0.99},
     ),
 }
-"""The paper's settings; where it states none, those of stable-baselines3."""
 
+# The best settings found (docs/learning.md).
 TUNED = {
     "ppo": Recipe(
         algorithm="ppo",
@@ -152,6 +143,5 @@ TUNED = {
         },
     ),
 }
-"""The best settings found (docs/learning.md)."""
 
 PRESETS: Mapping[str, Mapping[str, Recipe]] = {"tuned": TUNED, "paper": PAPER}

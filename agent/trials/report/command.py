@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FLIGHTS = 100
+# A scenario in which policies differ: there is no gas between the start and the source.
 TELLING_SEED = 1_000_009
-"""A scenario in which policies differ: there is no gas between the start and the source."""
 PICTURES = ("particles", "thresholds", "trajectories", "hundred", "distances")
+# The files of a report.
 FILES = (*(f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg")), "results.md", "index.html")
-"""The files of a report."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Flight = tuple[Outcome, list[TracePoint]]
 
 WIDTH_IN = 10.0
+# Colour and marker of each policy in all pictures. Those of `FIVE` are of Okabe and Ito's palette.
 LOOKS = {
     "infotaxis": ("#0072b2", "o"),
     "infotaxis-variance": ("#56b4e9", "s"),
@@ -38,25 +39,21 @@ LOOKS = {
     "dqn": ("#882255", "h"),
     "ddpg": ("#999933", "p"),
 }
-"""Colour and marker of each policy in all pictures. Those of `FIVE` are of Okabe and Ito's palette."""
 OTHER_LOOK = ("#777777", "8")
+# The policies that pictures compare: the classic, the best published planner, the one of dual control, our
+# default, and the best learned.
+#
+# The others fly much as one of them does (entrotaxis as infotaxis, lookahead as homing, dqn and ddpg as ppo),
+# or find few sources.
 FIVE = ("infotaxis", "space-aware-infotaxis", "dcee", "homing", "ppo")
-"""The policies that pictures compare: the classic, the best published planner, the one of dual control,
-our default, and the best learned.
-
-The others fly much as one of them does (entrotaxis as infotaxis, lookahead as homing, dqn and ddpg as
-ppo), or find few sources.
-"""
 PATH: dict[str, Any] = {"color": INK, "linewidth": 1.2, "marker": ".", "markersize": 3.5}
+# (figure, label, scale).
 PANELS = (("ceased", "ceased, %", 100.0), ("mtd_m", "MTD, m", 1.0), ("search_time_s", "ST, s", 1.0))
-"""(figure, label, scale)."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73")
 NAMED = (("position", "UAV", COLOURS[0]), ("mean", "belief mean", COLOURS[1]))
 LAST_STEPS = 10
-APART_IN = 0.025
-"""Distance between the points of two policies at one setting."""
-LEAST_DISTANCE_M = 0.05
-"""Shorter distances are drawn at this value."""
+APART_IN = 0.025  # distance between the points of two policies at one setting
+LEAST_DISTANCE_M = 0.05  # shorter distances are drawn at this value
 
 
 def compared(policies: Sequence[str]) -> list[str]:

@@ -36,8 +36,7 @@ code { font-size: .92em; background: var(--band); padding: .1em .3em; border-rad
 class Picture:
     """A drawn figure with its caption."""
 
-    name: str
-    """Name of its files without the ending."""
+    name: str  # name of its files without the ending
     title: str
     caption: str
     svg: bytes

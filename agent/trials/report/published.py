@@ -6,17 +6,13 @@ from typing import NamedTuple
 class Published(NamedTuple):
     """One figure of the paper. Settings that the paper does not state are None."""
 
-    figure: str
-    """Our figure of the same meaning: a key of `agent.trials.figures.figures`."""
-    value: float
-    """A share, or m, or s."""
+    figure: str  # our figure of the same meaning: a key of `agent.trials.figures.figures`
+    value: float  # a share, or m, or s
     method: str
-    policy: str
-    """Our policy of the same name."""
+    policy: str  # our policy of the same name
     particles: int | None = None
     threshold_m: float | None = None
-    below: bool = False
-    """The paper says only that the figure is below `value`."""
+    below: bool = False  # the paper says only that the figure is below `value`
 
 
 PUBLISHED = (

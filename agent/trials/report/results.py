@@ -13,11 +13,10 @@ from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow, figures
 from plume.worlds import AS_MODELLED
 
-AS_GOOD = 0.01
-"""Policies whose ceased shares differ by at most this much are compared by their MTD."""
+AS_GOOD = 0.01  # policies whose ceased shares differ by at most this much are compared by their MTD
 
+# Columns that must be equal in all missions of one figure.
 WAY = ("budget", "headings", "step_m", "measurements", "sensor", "prior", "stop_on")
-"""Columns that must be equal in all missions of one figure."""
 
 
 class Setting(NamedTuple):
@@ -27,10 +26,8 @@ class Setting(NamedTuple):
     threshold_m: float
 
 
-Key = tuple[str, Setting]
-"""(policy, setting)."""
-USUAL = Setting(1000, 0.5)
-"""The defaults of `rollout` and `evaluate`."""
+Key = tuple[str, Setting]  # (policy, setting)
+USUAL = Setting(1000, 0.5)  # the defaults of `rollout` and `evaluate`
 
 
 @dataclass(frozen=True)
@@ -38,10 +35,8 @@ class Results:
     """All missions flown. Policies are in the order of the registry, unknown ones last."""
 
     rows: Mapping[Key, list[MissionRow]]
-    figures: Mapping[Key, dict[str, Any]]
-    """The result of `agent.trials.figures.figures` for the rows."""
-    assume: str = "paper"
-    """What the estimator took to be known in all of them."""
+    figures: Mapping[Key, dict[str, Any]]  # the result of `agent.trials.figures.figures` for the rows
+    assume: str = "paper"  # what the estimator took to be known in all of them
 
     @property
     def policies(self) -> list[str]:

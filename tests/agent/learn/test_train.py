@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from agent.__main__ import main
-from agent.bundle import Point, load, read
+from agent.bundle import CurvePoint, load, read
 from agent.learn.train.folder import checkpoints, claim
 from agent.learn.train.recipes import PRESETS, TUNED, Recipe
 from agent.observation import SCHEMAS
@@ -79,11 +79,11 @@ class Trained(NamedTuple):
 
     folder: Path
     model: Any
-    curve: list[Point]
+    curve: list[CurvePoint]
     bundle: bytes
 
 
-def silent(_point: Point, _speed: float) -> None:
+def silent(_point: CurvePoint, _speed: float) -> None:
     pass
 
 
@@ -92,7 +92,7 @@ def learn(
     recipe: Recipe,
     seed: int = 0,
     threads: int = 1,
-    tell: Callable[[Point, float], None] = silent,
+    tell: Callable[[CurvePoint, float], None] = silent,
 ) -> Trained:
     from agent.learn.train.export import export
     from agent.learn.train.loop import train
@@ -122,11 +122,11 @@ class CutOff(Exception):
     """As a kill would end it."""
 
 
-def cut_at(*places: int) -> Callable[[Point, float], None]:
+def cut_at(*places: int) -> Callable[[CurvePoint, float], None]:
     """A progress report that raises at each of these places once."""
     left = list(places)
 
-    def tell(point: Point, _speed: float) -> None:
+    def tell(point: CurvePoint, _speed: float) -> None:
         if left and point.steps >= left[0]:
             left.pop(0)
             raise CutOff
@@ -249,15 +249,15 @@ def test_tensorboard_holds_the_curve_once_even_of_a_run_that_was_cut_off(
 def test_the_curve_sums_up_the_missions_that_ended() -> None:
     from agent.learn.train.loop import EndedMission, point_of
 
-    assert point_of(7, []) == Point(7, 0.0, 0.0, None)
+    assert point_of(7, []) == CurvePoint(7, 0.0, 0.0, None)
     ended = [
         EndedMission(True, True, 20.0),
         EndedMission(True, False, 30.0),
         EndedMission(False, False, 300.0),
         EndedMission(False, False, 300.0),
     ]
-    assert point_of(8, ended) == Point(8, 0.5, 0.25, 25.0)
-    assert point_of(9, ended[2:]) == Point(9, 0.0, 0.0, None)
+    assert point_of(8, ended) == CurvePoint(8, 0.5, 0.25, 25.0)
+    assert point_of(9, ended[2:]) == CurvePoint(9, 0.0, 0.0, None)
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -526,7 +526,7 @@ def trained_by_command(
 
     train, models = loop.train, []
 
-    def watched(*arguments: Any) -> tuple[Any, list[Point]]:
+    def watched(*arguments: Any) -> tuple[Any, list[CurvePoint]]:
         models.append(train(*arguments))
         return models[-1]
 

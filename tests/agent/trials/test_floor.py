@@ -122,14 +122,14 @@ def test_a_floor_beyond_the_budget_is_infinite() -> None:
 
 def test_a_spread_that_the_prior_already_has_takes_no_step() -> None:
     # The prior's spread is sqrt(2 · 75) = 12.2 m.
-    assert floor.floor_m(draw(1_000_000), 12.3) == 0.0
+    assert floor.floors_m(draw(1_000_000), [12.3]) == {12.3: 0.0}
 
 
 def test_a_source_above_the_plane_is_refused() -> None:
     with pytest.raises(ValueError, match="height 2 m is not allowed"):
-        floor.floor_m(
+        floor.floors_m(
             Scenario(
                 source=(15.0, 15.0), q=300.0, u=1.0, phi=0.0, d=4.5, tau=10.0, start=(1.0, 1.0), height=2.0
             ),
-            0.5,
+            [0.5],
         )

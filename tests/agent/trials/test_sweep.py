@@ -6,12 +6,14 @@ import math
 import tracemalloc
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
+from agent.__main__ import main
 from agent.trials import sweep
 from agent.trials.evaluate import named, read_csv, write_csv
 from agent.trials.figures import MissionRow
@@ -159,6 +161,69 @@ def test_a_row_that_an_older_version_kept_is_read(tmp_path: Path) -> None:
     journal.write_bytes(msgspec.json.encode([old]) + b"\n")
     (rows,) = fly_all(Sweep(("greedy",), [7], particles=(100,)), journal, on_cores(1))
     assert rows == [ROW]
+
+
+def test_missions_that_a_table_tells_in_full_are_not_flown_again(tmp_path: Path) -> None:
+    few, table = replace(SMALL, particles=(100,), stops=SMALL.stops[:2]), tmp_path / "missions.csv.gz"
+    rows = ordered((row for seed in (7, 8) for row in chain(*fly(few, flights_of(few, seed)))), few)
+    other_way = msgspec.structs.replace(rows[0], seed=9, budget=81)
+    half_told = [row for row in rows if (row.policy, row.seed, row.threshold_m) != ("greedy", 8, 0.9)]
+    write_csv([*half_told, other_way], table)
+    asked: list[Flight] = []
+
+    def noted(_: Sweep, tasks: Iterable[Sequence[Flight]]) -> Iterator[list[MissionRow]]:
+        asked.extend(chain(*tasks))
+        yield from ()
+
+    kept = list(fly_all(few, tmp_path / "journal.jsonl", noted, read_csv(table)))
+    assert sorted((of[0].policy, of[0].seed) for of in kept) == [
+        ("greedy", 7),
+        ("thompson", 7),
+        ("thompson", 8),
+    ]
+    assert {len(of) for of in kept} == {2}
+    assert sorted((policy, seed) for policy, _, seed, _ in asked) == [
+        ("greedy", 8),
+        ("greedy", 9),
+        ("thompson", 9),
+    ]
+
+
+def flights_of(sweep: Sweep, seed: int) -> list[Flight]:
+    return [flight for flight in sweep.flights if flight[2] == seed]
+
+
+def test_a_table_is_filled_up_and_left_alone_once_it_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    table = tmp_path / "missions.csv"
+    flags = (
+        "--policy",
+        "greedy",
+        "--particles",
+        "100",
+        "--budget",
+        "10",
+        "--workers",
+        "1",
+        "--missions",
+        "missions.csv",
+    )
+
+    def evaluate(count: str) -> int | None:
+        return main(arguments=["evaluate", *flags, "--resume", "--scenarios", count])
+
+    assert evaluate("1") == 0
+    (first,) = read_csv(table)
+    assert evaluate("2") == 0
+    assert read_csv(table)[0] == first  # its times, too
+    assert [row.seed for row in read_csv(table)] == [1_000_000, 1_000_001]
+    written = table.stat().st_mtime_ns
+    assert evaluate("2") == evaluate("1") == 0
+    assert table.stat().st_mtime_ns == written
+    table.write_text("nonsense")
+    assert evaluate("1") == 2
 
 
 def test_another_question_has_another_journal(tmp_path: Path) -> None:
