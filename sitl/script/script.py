@@ -1,7 +1,4 @@
-"""Mission scripts: one YAML file defines what is flown, which faults occur, and which outcome is expected.
-
-`python -m sitl.script` prints their JSON schema for editors.
-"""
+"""Mission scripts: one YAML file defines what is flown, which faults occur, and which outcome is expected."""
 
 import math
 import os
@@ -46,7 +43,6 @@ def _says(name: str, words: str, unit: str) -> Meta:
     return Meta(description=f"{words}, a number from {low:g} up to {high:.12g}, {unit}")
 
 
-MAY_BE_INFINITE = ("vehicle.endurance_s", "vehicle.silence_s")
 STREAM_S = 1.0
 """Real time after which the stream of a companion's setpoints is lost, if strict: PX4's COM_OF_LOSS_T."""
 Expectation = Literal[
@@ -286,7 +282,7 @@ def load(mission: str | Path) -> Script:
             f"{document.path}: "
             + ", ".join(f"{word!r} is an old word, read as {OLD_WORDS[word]!r}" for word in old)
         )
-    script = document.to(Script, MAY_BE_INFINITE)
+    script = document.to(Script)
     try:
         sensor.parse(script.sensor)
     except ValueError as error:
@@ -351,12 +347,3 @@ def _check(document: Document, number: int, event: ScriptEvent) -> None:
                 [*field, "high"],
                 f"{list(high)} is not allowed; wanted a corner north-east of low, {list(low)}",
             )
-
-
-def schema() -> dict[str, Any]:
-    """Return the JSON schema of mission scripts, for editors."""
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "Plumeward mission",
-        **msgspec.json.schema(Script),
-    }
