@@ -2,11 +2,10 @@
 about each.
 """
 
+import argparse
 import dataclasses
 import textwrap
 from collections.abc import Callable, Iterator
-
-from link import cli
 
 Line = tuple[str, str]
 """A name, and what it is."""
@@ -70,23 +69,20 @@ LISTS: dict[str, tuple[str, Callable[[], Iterator[Line]]]] = {
 """Each list: how a command takes its names, and the function that yields its lines."""
 
 
-def main(arguments: list[str]) -> int:
-    """Print one list, or all of them."""
-    parser = cli.Parser(
-        prog="plumeward list",
-        description="List the missions, policies, sensors, assumptions and worlds to choose from.",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the list to print."""
+    parser.description = "List the missions, policies, sensors, assumptions and worlds to choose from."
     parser.add_argument("what", nargs="?", choices=tuple(LISTS), help="list only these (default: all)")
-    what = parser.parse_args(arguments).what
-    for number, name in enumerate([what] if what else LISTS):
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print one list, or all of them."""
+    for number, name in enumerate([args.what] if args.what else LISTS):
         how, lines = LISTS[name]
         print(f"{chr(10) if number else ''}{name.capitalize()}: {how}")
         shown = list(lines())
         width = max(len(key) for key, _ in shown) + 4
         for key, about in shown:
-            print(
-                textwrap.fill(
-                    about, 80, initial_indent=f"  {key}".ljust(width), subsequent_indent=" " * width
-                )
-            )
+            first, rest = f"  {key}".ljust(width), " " * width
+            print(textwrap.fill(about, 80, initial_indent=first, subsequent_indent=rest))
     return 0

@@ -1,5 +1,6 @@
 """A Zenoh router in this process: no other software is needed to fly."""
 
+import argparse
 import contextlib
 import os
 import resource
@@ -9,19 +10,43 @@ from pathlib import Path
 import msgspec
 import zenoh
 
+from link import cli
 from link.access.crowds import Crowds, most_of
 from link.access.reach import endpoint_is_open
 from link.access.refusals import Refusals
 from link.bus.keys import STOP
 from link.bus.log import Log
 from link.bus.messages import Stop, stop_text
-from link.bus.opening import open_router
+from link.bus.opening import DEFAULT_ROUTER, open_router
 from link.bus.session import SIGNAL_POLL_S
 from link.bus.tally import Tally
 
 MORE_RECEIVERS = "(rx: (worker_threads: 8))"
 """Zenoh's threads, read by the first session of a process. Each flood that waits for a full client holds a
 receiving one; by default there are two."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+    parser.add_argument(
+        "-l",
+        "--listen",
+        metavar="ENDPOINT",
+        default=DEFAULT_ROUTER,
+        help="where to listen (default: %(default)s)",
+    )
+    parser.add_argument(
+        "-e", "--connect", metavar="ENDPOINT", help="join the router of another site; not with --secure"
+    )
+    cli.add_secure_argument(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Route until interrupted. Raises BadInput."""
+    if args.connect and args.secure:
+        raise cli.BadInput("--connect: not with --secure, whose rules admit no other router")
+    route(args.listen, args.secure, args.connect)
+    return 0
 
 
 def _tell_stop(log: Log, sample: zenoh.Sample) -> None:
@@ -32,7 +57,7 @@ def _tell_stop(log: Log, sample: zenoh.Sample) -> None:
         log.info(f"{str(sample.key_expr).removesuffix(f'/{STOP.name}')}: {stop_text(stop)}")
 
 
-def run(endpoint: str, secure: Path | None = None, connect: str | None = None) -> None:
+def route(endpoint: str, secure: Path | None, connect: str | None) -> None:
     """Route until interrupted. Prints the endpoint on stdout; port 0 is replaced by the chosen port.
 
     connect: the router of another site, whose parts then hear ours. With `secure`, the folder of its

@@ -2,62 +2,39 @@
 over.
 """
 
-import argparse
 import contextlib
 import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 
-from sitl.launch.processes import STOP_TIMEOUT_S, Child, MissionFailed, Processes
+from sitl.launch.child import Child, MissionFailed
+from sitl.launch.processes import PAGE, STOP_TIMEOUT_S, Processes
 
-VIEW = "view"
 UNATTENDED_S = 30.0
 """How long the page stays at most where nobody can press Ctrl-C."""
 LOOK_S = 0.2
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `fly` that show its page."""
-    parser.add_argument(
-        "--view", action="store_true", help="show the mission on a page, which stays open until it is closed"
-    )
-    parser.add_argument("--open", action="store_true", help="the same, and open it in a browser")
-
-
-def page_of(args: argparse.Namespace) -> "MissionPage":
-    """Return the page that the flags ask for, if they do."""
-    return MissionPage(
-        wanted=args.view or args.open, opened=args.open, attended=sys.stderr.isatty() and not args.json
-    )
-
-
 class MissionPage:
     """`plumeward view` beside a mission. The mission goes on without it."""
 
-    def __init__(self, *, wanted: bool, opened: bool, attended: bool) -> None:
-        """Take whether to show it at all, whether to open it in a browser, and whether people wait at a
-        terminal.
-        """
-        self._wanted = wanted
-        self._opened = opened
+    def __init__(self, *, opened: bool, attended: bool) -> None:
+        """Take whether to open it in a browser, and whether people wait at a terminal."""
+        self._words = ["--port", "0", *["--open"] * opened]
         self._attended = attended
         self._child: Child | None = None
         self._address = ""
 
     def start(self, processes: Processes, joining: Sequence[str], about_json: str) -> None:
         """Start it; `joining` are the flags that name the router, `about_json` describes the mission."""
-        if not self._wanted:
-            return
-        words = [*joining, "--port", "0", "--about", about_json, *["--open"] * self._opened]
-        self._child = processes.start(VIEW, "sitl", "view", *words)
+        self._child = processes.start(PAGE, "sitl", "view", *joining, *self._words, "--about", about_json)
 
     def await_start(self, say: Callable[[str], None]) -> None:
         """Wait until it is served, and say where."""
-        if self._child is None:
-            return
-        with contextlib.suppress(MissionFailed):  # it hangs: the mission begins without it
-            self._address = self._child.readline().strip().removeprefix("page at ")
+        if self._child:
+            with contextlib.suppress(MissionFailed):  # it hangs: the mission begins without it
+                self._address = self._child.readline().strip().removeprefix("page at ")
         if self._address:
             say(f"page at {self._address}")
 
@@ -66,7 +43,7 @@ class MissionPage:
         never served ends with them.
         """
         if self._child and self._address:
-            processes.release(VIEW)
+            processes.release(PAGE)
             self._child.signal(signal.SIGUSR1)
 
     def linger(self) -> None:

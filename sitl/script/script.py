@@ -13,6 +13,7 @@ from msgspec import Meta
 
 from aircraft.search.events import Count, OnBoard, Radians, ScriptEvent, Wind, WindSpeed
 from aircraft.search.search import AfterStop
+from link.cli import did_you_mean
 from plume import sensor
 from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
@@ -259,14 +260,17 @@ def find(mission: str | Path) -> Path:
     """Return the path of a mission: a file of this name, else the shipped mission of this name. Raises
     FileError if there is neither.
     """
-    missions = shipped()
-    if not os.path.isfile(mission) and (found := missions.get(str(mission).removesuffix(".yaml"))):
-        return found
+    missions, name = shipped(), str(mission).removesuffix(".yaml")
+    if not os.path.isfile(mission) and name in missions:
+        return missions[name]
     try:
         os.stat(mission)
     except FileNotFoundError:
-        wanted = f"a mission script, or one of {', '.join(missions)}"
-        raise FileError(f"{mission}: no such file and no shipped mission; wanted {wanted}") from None
+        near = did_you_mean(name, missions)
+        wanted = (
+            f"{f'{near} Wanted' if near else '; wanted'} a mission script, or one of {', '.join(missions)}"
+        )
+        raise FileError(f"{mission}: no such file and no shipped mission{wanted}") from None
     except OSError as error:
         raise FileError(f"{mission}: {error.strerror}") from None
     return Path(mission)

@@ -12,6 +12,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
+from link.cli import BadInput
 from sitl.script.mistakes import Fields, dotted, explained, short, shown
 
 T = TypeVar("T")
@@ -25,7 +26,7 @@ MOST_DIGITS = 1000
 TEXT, WHOLE, MERGE = (f"tag:yaml.org,2002:{name}" for name in ("str", "int", "merge"))
 
 
-class FileError(ValueError):
+class FileError(BadInput):
     """A file cannot be used; the message is one line."""
 
 

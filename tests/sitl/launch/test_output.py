@@ -5,7 +5,8 @@ memory.
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sitl.launch.output import LONGEST, Lines
+from sitl.launch.child import LONGEST_LINE as LONGEST
+from sitl.launch.child import Lines
 
 
 @given(

@@ -295,18 +295,20 @@ def test_a_file_that_is_there_wins_over_a_shipped_mission_of_its_name(
     assert load("wind-shift").about == "mine without a suffix"
 
 
-@pytest.mark.parametrize("name", ["wnd-shift", "missions/wind-shift.yaml", "./wind-shift", "wind-shift.yml"])
-def test_a_name_that_is_none_is_told_with_those_that_ship(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [("wnd-shift", "wind-shift"), ("missions/wind-shift.yaml", "wind-shift"), ("qqq", ""), ("./qqq.yml", "")],
+)
+def test_a_name_that_is_none_is_told_with_those_that_ship_and_the_nearest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, near: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(FileError) as error:
         load(name)
+    then = f"did you mean {near!r}? Wanted" if near else "wanted"
     shipped = ", ".join(path.stem for path in MISSIONS)
-    assert (
-        str(error.value)
-        == f"{name}: no such file and no shipped mission; wanted a mission script, or one of {shipped}"
-    )
+    told = f"{name}: no such file and no shipped mission; {then} a mission script, or one of {shipped}"
+    assert str(error.value) == told
 
 
 def test_what_the_scenario_leaves_out_is_drawn_by_the_seed(tmp_path: Path) -> None:

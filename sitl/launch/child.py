@@ -1,0 +1,233 @@
+"""One part of a mission as a process: how it starts, what it prints, and how it ends."""
+
+import contextlib
+import math
+import os
+import queue
+import re
+import selectors
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, NoReturn
+
+from link.bus import log
+from link.bus.inbox import Inbox
+from link.bus.session import SIGNAL_POLL_S
+from link.cli import BAD_INPUT, FAILED
+from link.early import INTERRUPTED, ask_for_stacks
+from link.interrupts import LAUNCHER
+
+ROOT = Path(__file__).parents[2]
+"""Where our packages are."""
+START_WARN_S, START_LIMIT_S = 15.0, 300.0
+"""Time to a part's first message, until people are told and until it counts as hung: on a slow machine it
+may compile for minutes.
+"""
+LEFT_OPEN_S = 0.5
+"""How long to read on after a part has ended: its own children may hold its stdout and stderr open."""
+STACK = re.compile(r'((Current t|T)hread 0x[0-9a-f]+ |File ".*", line \d+ in )')
+"""How a line of the stacks begins that a part prints when it hangs."""
+CHUNK = 1 << 16
+LONGEST_LINE = 4_000
+"""Bytes of a line that are kept."""
+
+
+@dataclass(frozen=True)
+class PartKind:
+    """How a part starts and ends, where it differs from others."""
+
+    answers: bool = False
+    """It prints a first line on stdout for the launcher when it is ready."""
+    spared: str = ""
+    """What to say when it ends and the mission goes on without it; empty: the mission fails."""
+    turn: int = 1
+    """Parts end in the order of their turns, those of one turn at a time."""
+    last_task: str = ""
+    """What it does when it is asked to end that may take longer than others may."""
+    last_task_s: float = 0.0
+    """How much longer."""
+    if_killed: str = ""
+    """What it means if it does not end in time."""
+
+
+class Ended(NamedTuple):
+    """A part is gone; its last words say why."""
+
+    part: str
+    status: int
+    last_words: str
+
+
+class LogLine(NamedTuple):
+    """A line that a part wrote, as people see it."""
+
+    part: str
+    line: str
+    level: str = "info"
+
+
+class MissionFailed(Exception):
+    """A mission or a replay cannot go on; the text says why, the status is the launcher's exit status."""
+
+    def __init__(self, text: str, status: int = FAILED) -> None:
+        """Take the reason and the exit status."""
+        super().__init__(text)
+        self.status = status
+
+
+def raise_for(ended: Ended) -> NoReturn:
+    """Raise the exception that the end of a part means for the mission."""
+    if ended.status == INTERRUPTED:
+        raise KeyboardInterrupt  # an interrupted part ends the mission as Ctrl-C does
+    if ended.status == BAD_INPUT:
+        raise MissionFailed(ended.last_words.rpartition("error: ")[2], BAD_INPUT)
+    killed = f"was killed by signal {-ended.status}"
+    how = killed if ended.status < 0 else f"exited with status {ended.status}"
+    raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of a part: it finds our packages, and no file of the current folder that has
+    their names.
+    """
+    found = {**os.environ, LAUNCHER: str(os.getpid()), "PYTHONSAFEPATH": "1"}
+    if ROOT.name not in ("site-packages", "dist-packages"):  # in a checkout, which need not be installed
+        found["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    return found
+
+
+class Lines:
+    """Cuts the data of a pipe into lines, holding at most one. Long lines are cropped; bytes that are not
+    text are replaced.
+    """
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self.begun = b""
+        """The line that has begun."""
+
+    def take(self, data: bytes) -> list[str]:
+        """Return the complete lines, without blank ones. Empty data means the end: an unfinished line is
+        then complete.
+        """
+        *whole, begun = (self.begun + (data or b"\n")).split(b"\n")
+        self.begun = begun[: LONGEST_LINE + 1]
+        return [text for line in whole if (text := _text(line))]
+
+
+def _text(line: bytes) -> str:
+    text = line[:LONGEST_LINE].decode(errors="replace").strip()
+    return f"{text} …" if len(line) > LONGEST_LINE else text
+
+
+class Child:
+    """One part as a process. It leads a process group: its children end with it, and a terminal's Ctrl-C
+    reaches only the launcher.
+    """
+
+    def __init__(self, part: str, kind: PartKind, words: tuple[str, ...], inbox: Inbox) -> None:
+        """Start `python -m words`. Its output and its end go into the inbox."""
+        self.part = part
+        self.kind = kind
+        self.killed = False
+        """Whether its end is intended: then it is not reported."""
+        self._inbox = inbox
+        self._answer = Inbox()
+        self._awaited = kind.answers
+        self._lines = inbox.lane(f"lines of the {part}")
+        self._last_words = "no last words"
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            bufsize=0,
+            process_group=0,
+            env=environment(),
+        )
+        self._thread = threading.Thread(target=self._watch, name=part, daemon=True)
+        self._thread.start()
+
+    def readline(self) -> str:
+        """Wait for the answer of a part that answers; empty if it ends without one. Raises MissionFailed
+        if it hangs.
+        """
+        began, told = time.monotonic(), False
+        while True:
+            with contextlib.suppress(queue.Empty):
+                return str(self._answer.get(timeout=SIGNAL_POLL_S))
+            waited_s = time.monotonic() - began
+            if waited_s >= START_LIMIT_S:
+                limit = f"{START_LIMIT_S:g} s since it was started"
+                raise MissionFailed(f"the {self.part} has said nothing in {limit}")
+            if waited_s >= START_WARN_S and not told:
+                print(f"waiting for the {self.part} to start", file=sys.stderr)
+                told = True
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self._process.send_signal(number)  # does nothing if it has ended
+
+    def tell_stacks(self) -> None:
+        """Ask it, which hangs, to write where its threads are. They are shown at once; of one that is
+        stopped once it continues.
+        """
+        ask_for_stacks(self._process.pid)
+
+    def kill(self) -> None:
+        """Kill it and its children."""
+        with contextlib.suppress(OSError):  # already gone
+            os.killpg(self._process.pid, signal.SIGKILL)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Return whether it ends in time."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout_s)
+            return True
+        return False
+
+    def join(self) -> None:
+        """Wait until all its output has been passed on. Call it after the process has ended."""
+        self._thread.join()
+
+    def _watch(self) -> None:
+        """Pass on its output and its end. Its children end with it, unless they left the process group."""
+        process, give_up_at = self._process, math.inf
+        assert process.stdout
+        assert process.stderr
+        with process.stdout, process.stderr, selectors.DefaultSelector() as pipes:
+            for pipe in (process.stdout, process.stderr):
+                pipes.register(pipe, selectors.EVENT_READ, Lines())
+            while pipes.get_map() and time.monotonic() < give_up_at:
+                for key, _ in pipes.select(SIGNAL_POLL_S):
+                    data = os.read(key.fd, CHUNK)
+                    for line in key.data.take(data):
+                        self._said(line, key.fileobj is process.stdout)
+                    if not data:
+                        pipes.unregister(key.fileobj)
+                if math.isinf(give_up_at) and process.poll() is not None:
+                    self.kill()
+                    give_up_at = time.monotonic() + LEFT_OPEN_S
+        status = process.wait()
+        self.kill()
+        if not self.killed:
+            self._inbox.put(Ended(self.part, status, self._last_words))
+        self._answer.put("")
+
+    def _said(self, line: str, on_stdout: bool) -> None:
+        if on_stdout and self._awaited:
+            self._awaited = False
+            self._answer.put(line)
+            return
+        if STACK.match(line):  # at once: it is about to be killed, and then nobody reads the inbox
+            print(f"{self.part}: {line}", file=sys.stderr)
+            return
+        level, text = ("info", f"{self.part}: {line}") if on_stdout else log.parse(line)
+        if not on_stdout:
+            self._last_words = text
+        self._lines(LogLine(self.part, text, level), len(text))
