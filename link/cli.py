@@ -17,16 +17,14 @@ from typing import Any, NamedTuple, NoReturn
 from link.early import INTERRUPTED, end_at_once
 from link.interrupts import STREAMS, discard, interrupt, leave, lost_thread, polled, unanswered
 
+# Exit status if the reader of stdout has gone, as in `plumeward evaluate | head -1`: that of a program
+# killed by SIGPIPE.
 UNREAD = 141
-"""Exit status if the reader of stdout has gone, as in `plumeward evaluate | head -1`: that of a program
-killed by SIGPIPE.
-"""
 BAD_INPUT = 2
 FAILED = 1
+# Names of what an estimator may take to be known; `estimator.assumptions` has what they mean.
 ASSUMPTIONS = ("field", "paper")
-"""Names of what an estimator may take to be known; `estimator.assumptions` has what they mean."""
-COMPLETING = "_ARGCOMPLETE"
-"""The environment variable by which a shell asks for completions."""
+COMPLETING = "_ARGCOMPLETE"  # the environment variable by which a shell asks for completions
 
 
 class BadInput(ValueError):
@@ -36,8 +34,7 @@ class BadInput(ValueError):
 class Command(NamedTuple):
     """A command, by the name of its module: a part starts fast, because only its own command is imported."""
 
-    module: str
-    """Has `add_arguments(parser)` and `run(args)`, which returns the exit status."""
+    module: str  # has `add_arguments(parser)` and `run(args)`, which returns the exit status
     does: str
 
 

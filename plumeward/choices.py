@@ -7,8 +7,7 @@ import dataclasses
 import textwrap
 from collections.abc import Callable, Iterator
 
-Line = tuple[str, str]
-"""A name, and what it is."""
+Line = tuple[str, str]  # a name, and what it is
 SENSORS = {
     "gaussian": "a concentration with Gaussian noise, g/m³",
     "threshold": "a concentration that reads 0 below a threshold or when missed, g/m³",
@@ -59,6 +58,7 @@ def worlds() -> Iterator[Line]:
         yield name, world.about
 
 
+# Each list: how a command takes its names, and the function that yields its lines.
 LISTS: dict[str, tuple[str, Callable[[], Iterator[Line]]]] = {
     "missions": ("plumeward fly MISSION", missions),
     "policies": ("--policy NAME", policies),
@@ -66,7 +66,6 @@ LISTS: dict[str, tuple[str, Callable[[], Iterator[Line]]]] = {
     "assumptions": ("--assume NAME", assumptions),
     "worlds": ("--world NAME", worlds),
 }
-"""Each list: how a command takes its names, and the function that yields its lines."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

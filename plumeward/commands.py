@@ -9,6 +9,7 @@ from link.cli import Command
 from plume import __version__
 from sitl.__main__ import COMMANDS as OF_SITL
 
+# Commands that the command line of a package parses.
 PACKAGES = {
     "rollout": Command("agent", "fly one mission in this process, without a network"),
     "evaluate": Command("agent", "fly many missions and print the policies' figures"),
@@ -18,7 +19,7 @@ PACKAGES = {
     "agent": Command("agent", "the agent: beliefs in, waypoints out"),
     "certs": Command("link", "make the certificates that --secure takes"),
 }
-"""Commands that the command line of a package parses."""
+# The commands as the help shows them.
 GROUPS = {
     "Fly a mission": ("fly", "rollout", "list"),
     "Look at missions": ("view", "status", "log", "draw", "replay", "record"),
@@ -26,7 +27,6 @@ GROUPS = {
     "Run one part alone": ("router", "uav", "payload", "bridge", "estimator", "agent"),
     "Keep strangers out": ("certs",),
 }
-"""The commands as the help shows them."""
 KNOWN = {
     **OF_SITL,
     **PACKAGES,
@@ -34,8 +34,8 @@ KNOWN = {
     "list": Command("plumeward.choices", "list the missions, policies, sensors, assumptions and worlds"),
 }
 COMMANDS = {name: KNOWN[name] for names in GROUPS.values() for name in names}
+# Commands that run the whole command line of a package, not one of its sub-commands.
 SERVICES = ("estimator", "agent")
-"""Commands that run the whole command line of a package, not one of its sub-commands."""
 COMPLETION = 'Tab completion in bash or zsh: eval "$(register-python-argcomplete plumeward)"'
 
 

@@ -10,6 +10,7 @@ import sys
 from link import cli
 from link.cli import Command
 
+# The commands that need no estimator or agent. Those of other houses are known by their names only.
 COMMANDS = {
     "fly": Command("sitl.launch.command", "fly one mission, each part a process of its own"),
     "view": Command("ground.view.command", "show missions on a page, live or recorded"),
@@ -23,7 +24,6 @@ COMMANDS = {
     "payload": Command("sitl.uav.payload", "the gas sensor of a real autopilot"),
     "bridge": Command("aircraft.bridge.command", "ground stations and autopilots over UDP, TCP, serial"),
 }
-"""The commands that need no estimator or agent. Those of other houses are known by their names only."""
 SCRIPTS = (".yaml", ".yml")
 
 

@@ -1,11 +1,9 @@
 """One part of a mission as a process: how it starts, what it prints, and how it ends."""
 
 import contextlib
-import math
 import os
 import queue
 import re
-import selectors
 import signal
 import subprocess
 import sys
@@ -13,7 +11,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import IO, NamedTuple, NoReturn
 
 from link.bus import log
 from link.bus.inbox import Inbox
@@ -22,37 +20,27 @@ from link.cli import BAD_INPUT, FAILED
 from link.early import INTERRUPTED, ask_for_stacks
 from link.interrupts import LAUNCHER
 
-ROOT = Path(__file__).parents[2]
-"""Where our packages are."""
+ROOT = Path(__file__).parents[2]  # where our packages are
+# Time to a part's first message, until people are told and until it counts as hung: on a slow machine it
+# may compile for minutes.
 START_WARN_S, START_LIMIT_S = 15.0, 300.0
-"""Time to a part's first message, until people are told and until it counts as hung: on a slow machine it
-may compile for minutes.
-"""
+# How long to read on after a part has ended: its own children may hold its stdout and stderr open.
 LEFT_OPEN_S = 0.5
-"""How long to read on after a part has ended: its own children may hold its stdout and stderr open."""
+# How a line of the stacks begins that a part prints when it hangs.
 STACK = re.compile(r'((Current t|T)hread 0x[0-9a-f]+ |File ".*", line \d+ in )')
-"""How a line of the stacks begins that a part prints when it hangs."""
-CHUNK = 1 << 16
-LONGEST_LINE = 4_000
-"""Bytes of a line that are kept."""
+LONGEST_LINE = 4_000  # characters of a line that are kept
 
 
 @dataclass(frozen=True)
 class PartKind:
     """How a part starts and ends, where it differs from others."""
 
-    answers: bool = False
-    """It prints a first line on stdout for the launcher when it is ready."""
-    spared: str = ""
-    """What to say when it ends and the mission goes on without it; empty: the mission fails."""
-    turn: int = 1
-    """Parts end in the order of their turns, those of one turn at a time."""
-    last_task: str = ""
-    """What it does when it is asked to end that may take longer than others may."""
-    last_task_s: float = 0.0
-    """How much longer."""
-    if_killed: str = ""
-    """What it means if it does not end in time."""
+    answers: bool = False  # it prints a first line on stdout for the launcher when it is ready
+    spared: str = ""  # what to say when it ends and the mission goes on; empty: the mission fails
+    turn: int = 1  # parts end in the order of their turns, those of one turn at a time
+    last_task: str = ""  # what may keep it longer than others when it is asked to end
+    last_task_s: float = 0.0  # how much longer
+    if_killed: str = ""  # what it means if it does not end in time
 
 
 class Ended(NamedTuple):
@@ -101,30 +89,6 @@ def environment() -> dict[str, str]:
     return found
 
 
-class Lines:
-    """Cuts the data of a pipe into lines, holding at most one. Long lines are cropped; bytes that are not
-    text are replaced.
-    """
-
-    def __init__(self) -> None:
-        """Start empty."""
-        self.begun = b""
-        """The line that has begun."""
-
-    def take(self, data: bytes) -> list[str]:
-        """Return the complete lines, without blank ones. Empty data means the end: an unfinished line is
-        then complete.
-        """
-        *whole, begun = (self.begun + (data or b"\n")).split(b"\n")
-        self.begun = begun[: LONGEST_LINE + 1]
-        return [text for line in whole if (text := _text(line))]
-
-
-def _text(line: bytes) -> str:
-    text = line[:LONGEST_LINE].decode(errors="replace").strip()
-    return f"{text} …" if len(line) > LONGEST_LINE else text
-
-
 class Child:
     """One part as a process. It leads a process group: its children end with it, and a terminal's Ctrl-C
     reaches only the launcher.
@@ -134,8 +98,7 @@ class Child:
         """Start `python -m words`. Its output and its end go into the inbox."""
         self.part = part
         self.kind = kind
-        self.killed = False
-        """Whether its end is intended: then it is not reported."""
+        self.killed = False  # on purpose: then its end is not reported
         self._inbox = inbox
         self._answer = Inbox()
         self._awaited = kind.answers
@@ -146,7 +109,8 @@ class Child:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            bufsize=0,
+            encoding="utf-8",
+            errors="replace",
             process_group=0,
             env=environment(),
         )
@@ -197,37 +161,40 @@ class Child:
 
     def _watch(self) -> None:
         """Pass on its output and its end. Its children end with it, unless they left the process group."""
-        process, give_up_at = self._process, math.inf
-        assert process.stdout
-        assert process.stderr
-        with process.stdout, process.stderr, selectors.DefaultSelector() as pipes:
-            for pipe in (process.stdout, process.stderr):
-                pipes.register(pipe, selectors.EVENT_READ, Lines())
-            while pipes.get_map() and time.monotonic() < give_up_at:
-                for key, _ in pipes.select(SIGNAL_POLL_S):
-                    data = os.read(key.fd, CHUNK)
-                    for line in key.data.take(data):
-                        self._said(line, key.fileobj is process.stdout)
-                    if not data:
-                        pipes.unregister(key.fileobj)
-                if math.isinf(give_up_at) and process.poll() is not None:
-                    self.kill()
-                    give_up_at = time.monotonic() + LEFT_OPEN_S
-        status = process.wait()
+        readers = [
+            threading.Thread(target=self._read, args=(pipe,), name=f"output of {self.part}", daemon=True)
+            for pipe in (self._process.stdout, self._process.stderr)
+        ]
+        for reader in readers:
+            reader.start()
+        status = self._process.wait()
         self.kill()
+        for reader in readers:
+            reader.join(LEFT_OPEN_S)
         if not self.killed:
             self._inbox.put(Ended(self.part, status, self._last_words))
         self._answer.put("")
+
+    def _read(self, pipe: IO[str]) -> None:
+        """Pass on the lines of a pipe. Of a long one the begin is kept, and the rest is dropped unread."""
+        with pipe:
+            while line := pipe.readline(LONGEST_LINE):
+                text = line.strip()
+                if not line.endswith("\n") and (line := pipe.readline(LONGEST_LINE)).strip():
+                    text += " …"
+                    while line and not line.endswith("\n"):
+                        line = pipe.readline(LONGEST_LINE)
+                if text:
+                    self._said(text, pipe is self._process.stdout)
 
     def _said(self, line: str, on_stdout: bool) -> None:
         if on_stdout and self._awaited:
             self._awaited = False
             self._answer.put(line)
-            return
-        if STACK.match(line):  # at once: it is about to be killed, and then nobody reads the inbox
+        elif STACK.match(line):  # at once: it is about to be killed, and then nobody reads the inbox
             print(f"{self.part}: {line}", file=sys.stderr)
-            return
-        level, text = ("info", f"{self.part}: {line}") if on_stdout else log.parse(line)
-        if not on_stdout:
-            self._last_words = text
-        self._lines(LogLine(self.part, text, level), len(text))
+        elif on_stdout:
+            self._lines(LogLine(self.part, f"{self.part}: {line}", "info"), len(line))
+        else:
+            level, self._last_words = log.parse(line)
+            self._lines(LogLine(self.part, self._last_words, level), len(line))

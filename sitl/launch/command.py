@@ -18,10 +18,10 @@ from sitl.script.script import AgentPart, Script
 from sitl.script.vehicle import script_for_vehicle
 from sitl.uav.options import add_vehicle_arguments
 
+# Raises ValueError, with what is allowed, on a policy that cannot be flown.
 CheckPolicy = Callable[[str], object]
-"""Raises ValueError, with what is allowed, on a policy that cannot be flown."""
-RECORD_FILE = "FILE.mcap"
-"""What the recorder calls the file that --record names."""
+RECORD_FILE = "FILE.mcap"  # what the recorder calls the file that --record names
+# The flags that the uav has to know, too.
 OF_THE_UAV = (
     "seed",
     "sensor",
@@ -37,7 +37,6 @@ OF_THE_UAV = (
     "speedup",
     "out",
 )
-"""The flags that the uav has to know, too."""
 
 
 def add_arguments(

@@ -15,8 +15,7 @@ from scene.follow.area import PLACING, AreaFrame
 from scene.follow.telemetry import LOCAL, frames
 
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
-MOST_READINGS = 100_000
-"""Readings that wait for their beliefs; a stranger could publish without end."""
+MOST_READINGS = 100_000  # readings that wait for their beliefs; a stranger could publish without end
 
 
 class MissionHeard:
@@ -28,20 +27,15 @@ class MissionHeard:
         self._system = system or 0
         self._area = AreaFrame()
         self.trace = HeardTrace()
-        self.health: dict[str, Health] = {}
-        """The newest health of each service."""
-        self.last: Belief | None = None
-        """The belief of the greatest step."""
-        self.distance_m = 0.0
-        """How far the vehicle has flown from the first belief to the last."""
-        self.stopped = False
-        """Whether the estimator has declared a stop."""
-        self.warned = False
-        """Whether the estimator has ever warned."""
-        self.landed_since_s = math.inf
-        """When the vehicle was first heard to have landed."""
+        self.health: dict[str, Health] = {}  # the newest health of each service
+        self.last: Belief | None = None  # the belief of the greatest step
+        self.distance_m = 0.0  # how far the vehicle has flown from the first belief to the last
+        self.stopped = False  # whether the estimator has declared a stop
+        self.warned = False  # whether the estimator has ever warned
+        self.landed_since_s = math.inf  # when the vehicle was first heard to have landed
+        # (north, east) m of home, where the vehicle stands; followed once MAVLINK_OUT is
+        # subscribed.
         self.landed_at: tuple[float, float] | None = None
-        """(north, east) m of home, where the vehicle stands; followed once MAVLINK_OUT is subscribed."""
 
     def take(self, arrival: Arrival, now_s: float) -> Belief | Health | None:
         """Take a message; returns the health that it is, or the belief that goes beyond the last one."""
@@ -119,12 +113,11 @@ class HeardTrace:
         """Begin with nothing heard."""
         self._points: dict[int, TracePoint] = {}
         self._times: dict[int, float] = {-1: -math.inf}
+        # The time of the newest belief, ms, which goes on where time_boot_ms wraps; before any,
+        # that of the first reading.
         self._near_ms: int | None = None
-        """The time of the newest belief, ms, which goes on where time_boot_ms wraps; before any, that of
-        the first reading.
-        """
+        # The readings whose beliefs are not all known, by time.
         self.kept: dict[int, tuple[tuple[float, float], float]] = {}
-        """The readings whose beliefs are not all known, by time."""
         self._whole_to = -1
 
     def reading(self, payload: bytes, system: int | None) -> None:

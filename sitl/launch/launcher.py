@@ -36,27 +36,21 @@ from sitl.script.events import Cut, Kill
 from sitl.script.script import Expectation, Script
 
 PAYLOAD = "payload"
-CALL_EVERY_S = 1.0
-"""Real time between two commands to return home."""
-LATE_STOP_S = 2.0
-"""A stop may reach us this much later than the vehicle, which lands because of it."""
-SHOWN = re.compile("Script: |Check: ")
-"""Lines that are shown whatever their level."""
+CALL_EVERY_S = 1.0  # real time between two commands to return home
+LATE_STOP_S = 2.0  # a stop may reach us this much later than the vehicle, which lands because of it
+SHOWN = re.compile("Script: |Check: ")  # lines that are shown whatever their level
+# Real time that record and trace may lag behind the mission's end: a part that was cut off receives first
+# what it missed.
 LAG_S = 5.0
-"""Real time that record and trace may lag behind the mission's end: a part that was cut off receives first
-what it missed.
-"""
 
 
 class Flown(NamedTuple):
     """The result of a mission."""
 
-    script: Script
-    """Names the agent's own policy where the agent runs elsewhere."""
+    script: Script  # names the agent's own policy where the agent runs elsewhere
     outcome: Outcome
     trace: list[TracePoint]
-    expectations: dict[Expectation, bool]
-    """What the script expects, and whether it came true."""
+    expectations: dict[Expectation, bool]  # what the script expects, and whether it came true
 
     def json(self, *, with_trace: bool) -> str:
         """One line of JSON, with the expectations if there are any."""
@@ -196,8 +190,8 @@ class MissionWatch:
         self._heard = MissionHeard(bus, mission.system)
         self._began_at, self._look_at = time.monotonic(), 0.0
         self._last_words: dict[str, str] = {}
+        # Services elsewhere that have left the bus, and parts without which the mission goes on.
         self._gone: set[str] = set()
-        """Services elsewhere that have left the bus, and parts without which the mission goes on."""
 
     def until_the_end(self) -> Flown:
         """Watch; returns the result."""

@@ -15,8 +15,8 @@ from plume.worlds import AS_MODELLED
 from sitl.launch.watchdog import PATIENCE_S
 from sitl.script.script import Expectation, Script
 
+# Expectations that need the source's true position.
 TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})
-"""Expectations that need the source's true position."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,10 +24,9 @@ class RouterChoice:
     """The router of a mission."""
 
     listen: str = "tcp/127.0.0.1:0"
+    # A router elsewhere, whose estimator and agent fly the mission; None: all are started here.
     connect: str | None = None
-    """A router elsewhere, whose estimator and agent fly the mission; None: all are started here."""
-    secure: Path | None = None
-    """The folder of certificates; None: nothing is secured."""
+    secure: Path | None = None  # the folder of certificates; None: nothing is secured
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,12 +34,9 @@ class RealVehicle:
     """A real autopilot, and what measures on it."""
 
     url: str
-    payload: str = SIMULATED
-    """The gas sensor, in the form of --payload."""
-    payload_arguments: Sequence[str] = ()
-    """The arguments that say which plume a simulated one reads."""
-    wait_s: float = math.inf
-    """Real time in which the services that run elsewhere have to be there."""
+    payload: str = SIMULATED  # the gas sensor, in the form of --payload
+    payload_arguments: Sequence[str] = ()  # the arguments that say which plume a simulated one reads
+    wait_s: float = math.inf  # real time in which the services that run elsewhere have to be there
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,18 +45,14 @@ class Launch:
 
     script: Script
     instance: int = 0
-    sysid: int | None = None
-    """MAVLink system id; None: that of the instance, or of the real autopilot."""
+    sysid: int | None = None  # MAVLink system id; None: that of the instance, or of the real autopilot
+    # The script's file and the flags that change it: the uav reads them itself.
     uav_arguments: Sequence[str] = ()
-    """The script's file and the flags that change it: the uav reads them itself."""
     router: RouterChoice = RouterChoice()
-    real: RealVehicle | None = None
-    """None: the simulated vehicle."""
-    record: Path | None = None
-    """The MCAP file to record to."""
+    real: RealVehicle | None = None  # None: the simulated vehicle
+    record: Path | None = None  # the MCAP file to record to
     log_level: str = "warning"
-    patience_s: float = PATIENCE_S
-    """Real time after which a silent part counts as hung."""
+    patience_s: float = PATIENCE_S  # real time after which a silent part counts as hung
 
     @property
     def system(self) -> int | None:

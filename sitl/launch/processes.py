@@ -13,11 +13,10 @@ from link.bus.inbox import Inbox
 from link.interrupts import uninterrupted
 from sitl.launch.child import Child, Ended, PartKind, raise_for
 
-STOP_TIMEOUT_S = 1.0
-"""How long a part may take to end."""
-STACKS_S = 0.5
-"""How long a part that is about to be killed may take to write its stacks."""
+STOP_TIMEOUT_S = 1.0  # how long a part may take to end
+STACKS_S = 0.5  # how long a part that is about to be killed may take to write its stacks
 ROUTER, RECORDER, PAGE = "router", "recorder", "view"
+# The parts that differ from others.
 KINDS = {
     RECORDER: PartKind(
         answers=True,
@@ -30,11 +29,10 @@ KINDS = {
     ROUTER: PartKind(answers=True, turn=3),
     PAGE: PartKind(answers=True, spared="the page ended"),
 }
-"""The parts that differ from others."""
+# A part that flies a real vehicle. It is never suspended.
 FLYING = PartKind(
     turn=0, last_task="send the vehicle home", last_task_s=10.0, if_killed="its keeper has the vehicle"
 )
-"""A part that flies a real vehicle. It is never suspended."""
 
 
 def secure_words(secure: Path | None) -> tuple[str, ...]:

@@ -17,10 +17,8 @@ class RecordFiles:
     def __init__(self, path: Path) -> None:
         """Take the path of the .mcap."""
         self._wanted = path
-        self.path = path
-        """Where the recorder writes."""
-        self.made = False
-        """Whether the recorder has made the files."""
+        self.path = path  # where the recorder writes
+        self.made = False  # whether the recorder has made the files
 
     def prepare(self, force: bool) -> None:
         """Raise BadInput if the files cannot be written. With `force`, new files are first written beside

@@ -21,9 +21,9 @@ from link.bus.opening import DEFAULT_ROUTER, open_router
 from link.bus.session import SIGNAL_POLL_S
 from link.bus.tally import Tally
 
+# Zenoh's threads, read by the first session of a process. Each flood that waits for a full client holds a
+# receiving one; by default there are two.
 MORE_RECEIVERS = "(rx: (worker_threads: 8))"
-"""Zenoh's threads, read by the first session of a process. Each flood that waits for a full client holds a
-receiving one; by default there are two."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

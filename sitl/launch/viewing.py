@@ -11,8 +11,7 @@ from collections.abc import Callable, Sequence
 from sitl.launch.child import Child, MissionFailed
 from sitl.launch.processes import PAGE, STOP_TIMEOUT_S, Processes
 
-UNATTENDED_S = 30.0
-"""How long the page stays at most where nobody can press Ctrl-C."""
+UNATTENDED_S = 30.0  # how long the page stays at most where nobody can press Ctrl-C
 LOOK_S = 0.2
 
 

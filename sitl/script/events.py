@@ -24,8 +24,8 @@ Positive = Annotated[float, Meta(gt=0, le=MOST)]
 Seconds = Annotated[float, Meta(ge=0, le=MOST)]
 Coordinate = Annotated[float, Meta(ge=0, le=AREA_M)]
 Point = tuple[Coordinate, Coordinate]
+# The agent receives them in one command-line argument, which the system limits to 128 kB.
 MOST_WAYPOINTS = 1000
-"""The agent receives them in one command-line argument, which the system limits to 128 kB."""
 
 
 class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
@@ -77,8 +77,7 @@ class Cut(ScriptEvent, frozen=True, tag="cut"):
     for_s: Annotated[float, Meta(gt=0, le=600, description="a number above 0 up to 600: real time, s")]
 
 
-OLD_WORDS = {"pause": "hold", "abort": "return"}
-"""What older scripts call these events."""
+OLD_WORDS = {"pause": "hold", "abort": "return"}  # what older scripts call these events
 
 
 def _steps(low: float, high: float, step: float) -> Sequence[float]:

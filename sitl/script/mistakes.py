@@ -8,12 +8,9 @@ import msgspec
 
 from link.cli import did_you_mean
 
-Fields = Sequence[str | int]
-"""The path to a field through objects (names) and lists (indices)."""
-Schema = Any
-"""A JSON schema, with its references replaced by what they stand for."""
-LONGEST = 60
-"""Characters of a name or value that are shown."""
+Fields = Sequence[str | int]  # the path to a field through objects (names) and lists (indices)
+Schema = Any  # a JSON schema, with its references replaced by what they stand for
+LONGEST = 60  # characters of a name or value that are shown
 BOUNDS = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "up to", "exclusiveMaximum": "below"}
 TYPES = {
     "string": "text",

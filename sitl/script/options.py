@@ -12,6 +12,7 @@ from plume.worlds import AS_MODELLED, WORLDS, check
 from sitl.script.script import Script, find, load, shipped
 from sitl.script.typed_yaml import Document
 
+# The field of a mission script that each flag sets.
 FIELDS = {
     "seed": "seed",
     "speedup": "speedup",
@@ -32,7 +33,6 @@ FIELDS = {
     "after_stop": "vehicle.after_stop",
     "strict": "vehicle.strict",
 }
-"""The field of a mission script that each flag sets."""
 HOME = ("home_lat_deg", "home_lon_deg", "home_alt_m", "home_heading_deg")
 
 

@@ -17,12 +17,9 @@ from sitl.script.mistakes import Fields, dotted, explained, short, shown
 
 T = TypeVar("T")
 
-MOST_BYTES = 250_000
-"""Reading a file of this size takes a few seconds; no mission needs more."""
-MOST_VALUES = 100_000
-"""With every alias expanded: nine short lines can expand to a billion values."""
-MOST_DIGITS = 1000
-"""Digits of a whole number: Python refuses to print more than 4300."""
+MOST_BYTES = 250_000  # reading a file of this size takes a few seconds; no mission needs more
+MOST_VALUES = 100_000  # with every alias expanded: nine short lines can expand to a billion values
+MOST_DIGITS = 1000  # digits of a whole number: Python refuses to print more than 4300
 TEXT, WHOLE, MERGE = (f"tag:yaml.org,2002:{name}" for name in ("str", "int", "merge"))
 
 

@@ -6,20 +6,20 @@ from aircraft.search.events import Wind
 from link.cli import BadInput
 from sitl.script.script import Script, VehiclePart
 
+# Flags that mean nothing without another one, which one, and why.
 NEEDS = {
     "wind": ("vehicle", "only with --vehicle; the simulated vehicle's wind is the mission's"),
     "wait": ("vehicle", "only with --vehicle; the simulated vehicle is there at once"),
     "payload": ("vehicle", "only with --vehicle; the simulated vehicle has a sensor of its own"),
     "sign": ("out", "there is nothing to sign; wanted it with --out"),
 }
-"""Flags that mean nothing without another one, which one, and why."""
+# Flags that only the simulated vehicle takes, and why.
 SIMULATED_ONLY = {
     "home": "a real vehicle's home is where it stands",
     "strict": "a real autopilot has its own rules for OFFBOARD",
 }
-"""Flags that only the simulated vehicle takes, and why."""
+# Fields of a script's vehicle that a real one takes.
 TAKEN = ("takeoff_altitude_m", "silence_s", "after_stop")
-"""Fields of a script's vehicle that a real one takes."""
 
 
 def script_for_vehicle(script: Script, args: argparse.Namespace) -> Script:
