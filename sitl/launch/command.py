@@ -6,12 +6,21 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
+
+import msgspec
 
 from aircraft.payload.options import SIMULATED, add_payload_argument
 from aircraft.remote.real import add_vehicle_url
 from link import cli
+from plume.outcome import outcome_text
 from plume.scenario import BUDGET_STEPS
+from sitl.launch.child import MissionFailed
+from sitl.launch.joining import check_connect
+from sitl.launch.launcher import Flown, fly
+from sitl.launch.mission import Launch, RealVehicle, RouterChoice, check_payload
+from sitl.launch.recording import RecordFiles, run_name, write_summary
+from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
 from sitl.script.options import FIELDS, blamed, script_of
 from sitl.script.script import AgentPart, Script
@@ -104,10 +113,6 @@ def add_arguments(
 
 def run(args: argparse.Namespace) -> int:
     """Fly a mission, and say what has come of it. Raises BadInput."""
-    from sitl.launch.child import MissionFailed
-    from sitl.launch.launcher import fly
-    from sitl.launch.recording import RecordFiles, run_name
-    from sitl.launch.viewing import MissionPage
 
     script = _checked_script(args)
     name = run_name("connected" if args.connect else script.agent.policy, script.seed)
@@ -125,14 +130,14 @@ def run(args: argparse.Namespace) -> int:
             page.end()
         if files:
             files.give_up(refused=False)
-        _tell_record(files, sys.stderr)
+            files.tell(sys.stderr)
         print("interrupted", file=sys.stderr)
         raise
     except MissionFailed as failure:
         refused = failure.status == cli.BAD_INPUT
         if files:
             files.give_up(refused=refused)
-        _tell_record(files, sys.stderr)
+            files.tell(sys.stderr)
         print(f"error: {_refusal(args, str(failure)) if refused else failure}", file=sys.stderr)
         if page:
             page.linger()
@@ -152,9 +157,6 @@ def _record(text: str) -> Path:
 
 def _checked_script(args: argparse.Namespace) -> Script:
     """Return what is flown. Raises BadInput if it cannot be: before anything starts."""
-    from sitl.launch.joining import check_connect
-    from sitl.launch.mission import check_payload
-
     script = script_of(args)
     if args.connect:
         if "listen" in args.given:
@@ -171,9 +173,7 @@ def _checked_script(args: argparse.Namespace) -> Script:
     return script
 
 
-def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> Any:
-    from sitl.launch.mission import Launch, RealVehicle, RouterChoice
-
+def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> Launch:
     given = args.given
     if not (args.mission or args.vehicle):  # then the uav would take its own default
         given = {**given, "speedup": args.speedup}
@@ -216,17 +216,7 @@ def _refusal(args: argparse.Namespace, text: str) -> str:
     return str(blamed(args, "--record" if flag == RECORD_FILE else flag, reason))
 
 
-def _tell_record(files: Any, to: TextIO) -> None:
-    if files and files.made and files.path.exists():
-        print(f"record   {files.path}", file=to)
-
-
-def _tell_outcome(args: argparse.Namespace, flown: Any, summary: Path, files: Any) -> None:
-    import msgspec
-
-    from plume.outcome import outcome_text
-    from sitl.launch.recording import write_summary
-
+def _tell_outcome(args: argparse.Namespace, flown: Flown, summary: Path, files: RecordFiles | None) -> None:
     results = sys.stderr if args.json else sys.stdout
     print(outcome_text(flown.outcome), file=results)
     try:
@@ -234,7 +224,8 @@ def _tell_outcome(args: argparse.Namespace, flown: Any, summary: Path, files: An
         print(f"summary  {summary}", file=results)
     except OSError as error:
         print(f"warning: no summary written to runs/: {error.strerror}", file=sys.stderr)
-    _tell_record(files, results)
+    if files:
+        files.tell(results)
     for expectation, came_true in flown.expectations.items():
         print(f"expected {expectation}: {'yes' if came_true else 'NO'}", file=results)
     if args.json:

@@ -4,7 +4,7 @@ import json
 import os
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from link import cli
 from link.files import is_claimed
@@ -47,6 +47,11 @@ class RecordFiles:
                 return f"the record stays in {self.path}: {error.strerror}"
             self.path = self._wanted
         return ""
+
+    def tell(self, to: TextIO) -> None:
+        """Say where the record is, if there is one."""
+        if self.made and self.path.exists():
+            print(f"record   {self.path}", file=to)
 
     def give_up(self, *, refused: bool) -> None:
         """Clean up after a failed mission: delete the record if it was refused, or if older files are

@@ -5,7 +5,6 @@ import contextlib
 import os
 import resource
 import time
-from pathlib import Path
 
 import msgspec
 import zenoh
@@ -41,14 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cli.add_secure_argument(parser)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Route until interrupted. Raises BadInput."""
-    if args.connect and args.secure:
-        raise cli.BadInput("--connect: not with --secure, whose rules admit no other router")
-    route(args.listen, args.secure, args.connect)
-    return 0
-
-
 def _tell_stop(log: Log, sample: zenoh.Sample) -> None:
     with contextlib.suppress(
         msgspec.DecodeError, UnicodeDecodeError
@@ -57,25 +48,25 @@ def _tell_stop(log: Log, sample: zenoh.Sample) -> None:
         log.info(f"{str(sample.key_expr).removesuffix(f'/{STOP.name}')}: {stop_text(stop)}")
 
 
-def route(endpoint: str, secure: Path | None, connect: str | None) -> None:
+def run(args: argparse.Namespace) -> int:
     """Route until interrupted. Prints the endpoint on stdout; port 0 is replaced by the chosen port.
 
-    connect: the router of another site, whose parts then hear ours. With `secure`, the folder of its
-    certificate, it says on stderr who joins and what it refuses.
+    With --connect the parts of another site hear ours. With --secure it says on stderr who joins and what
+    it refuses. Raises BadInput.
     """
+    if args.connect and args.secure:
+        raise cli.BadInput("--connect: not with --secure, whose rules admit no other router")
     log = Log("router", "-", Tally())
-    refusals = Refusals() if secure else None
+    refusals = Refusals() if args.secure else None
     with contextlib.suppress(ValueError, OSError):  # each connection takes a file
         resource.setrlimit(resource.RLIMIT_NOFILE, (resource.getrlimit(resource.RLIMIT_NOFILE)[1],) * 2)
     os.environ.setdefault("ZENOH_RUNTIME", MORE_RECEIVERS)
-    session, listening = open_router(endpoint, secure, connect)
+    session, listening = open_router(args.listen, args.secure, args.connect)
     with session:
         print(listening, flush=True)
-        if not secure and endpoint_is_open(endpoint):
-            log.warning(
-                f"{endpoint} is open to other machines: whoever reaches it can command the vehicle (--secure "
-                "DIR admits by role)"
-            )
+        if not args.secure and endpoint_is_open(args.listen):
+            risk = "whoever reaches it can command the vehicle (--secure DIR admits by role)"
+            log.warning(f"{args.listen} is open to other machines: {risk}")
         crowds = Crowds(session)
         session.declare_subscriber(f"uav/*/{STOP.name}", lambda sample: _tell_stop(log, sample))
         while True:

@@ -3,7 +3,7 @@
 import math
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -287,14 +287,12 @@ def load(mission: str | Path) -> Script:
             + ", ".join(f"{word!r} is an old word, read as {OLD_WORDS[word]!r}" for word in old)
         )
     script = document.to(Script)
-    try:
-        sensor.parse(script.sensor)
-    except ValueError as error:
-        raise document.error(["sensor"], str(error)) from None
-    try:
-        check(script.world)
-    except ValueError as error:
-        raise document.error(["world"], str(error)) from None
+    checks: dict[str, Callable[[str], object]] = {"sensor": sensor.parse, "world": check}
+    for field, parse in checks.items():
+        try:
+            parse(getattr(script, field))
+        except ValueError as error:
+            raise document.error([field], str(error)) from None
     taken: dict[int, int] = {}
     for number, event in enumerate(script.events):
         _check(document, number, event)
