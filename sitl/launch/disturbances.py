@@ -4,19 +4,12 @@ does not apply to processes.
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from operator import itemgetter
 
 from sitl.launch.processes import Processes
 from sitl.launch.relay import Relay
 from sitl.launch.watchdog import Watchdog
 from sitl.script.events import Cut, Kill
-
-
-class _Mend(NamedTuple):
-    """A restart or a restored link to come."""
-
-    at_s: float
-    event: Kill | Cut
 
 
 class Disturbances:
@@ -38,7 +31,7 @@ class Disturbances:
         self._relays = relays
         self._watchdog = watchdog
         self._say = say
-        self._mends: list[_Mend] = []
+        self._mends: list[tuple[float, Kill | Cut]] = []  # by the time of each restart or restored link
 
     def reached(self, step: int, time_s: float) -> None:
         """Perform the events that are due at a step and a simulation time."""
@@ -51,14 +44,14 @@ class Disturbances:
             else:
                 self._relays[event.part].cut()
                 after_s, done = event.for_s, f"link of {event.part} cut at step {step} for {event.for_s:g} s"
-            self._mends = sorted([*self._mends, _Mend(time.monotonic() + after_s, event)], key=_when)
+            self._mends = sorted([*self._mends, (time.monotonic() + after_s, event)], key=itemgetter(0))
             self._say(f"script: {done}")
         self.mend()
 
     def mend(self) -> None:
         """Restart processes and restore links that are due."""
-        while self._mends and self._mends[0].at_s <= time.monotonic():
-            event = self._mends.pop(0).event
+        while self._mends and self._mends[0][0] <= time.monotonic():
+            _, event = self._mends.pop(0)
             if isinstance(event, Kill):
                 self._processes.restart(event.part)
                 self._watchdog.begins(event.part, time.monotonic())
@@ -70,11 +63,7 @@ class Disturbances:
 
     def wait_s(self) -> float | None:
         """Real time until the next restart or restore; None if there is none."""
-        return max(self._mends[0].at_s - time.monotonic(), 0.0) if self._mends else None
-
-
-def _when(mend: _Mend) -> float:
-    return mend.at_s
+        return max(self._mends[0][0] - time.monotonic(), 0.0) if self._mends else None
 
 
 def _due(event: Kill | Cut, step: int, time_s: float) -> bool:

@@ -3,16 +3,15 @@ over.
 """
 
 import contextlib
+import math
 import signal
 import sys
-import time
 from collections.abc import Callable, Sequence
 
 from sitl.launch.child import Child, MissionFailed
 from sitl.launch.processes import PAGE, STOP_TIMEOUT_S, Processes
 
 UNATTENDED_S = 30.0  # how long the page stays at most where nobody can press Ctrl-C
-LOOK_S = 0.2
 
 
 class MissionPage:
@@ -47,17 +46,13 @@ class MissionPage:
 
     def linger(self) -> None:
         """Wait until its browsers are closed, or none has come; Ctrl-C ends it."""
-        if self._child is None or not self._address or self._child.wait(0.0):
+        if not self._child or not self._address or self._child.wait(0.0):
             return
         until = "until it is closed" if self._attended else f"for at most {UNATTENDED_S:g} s"
         print(f"page stays open at {self._address} {until}; Ctrl-C ends it", file=sys.stderr, flush=True)
-        deadline = time.monotonic() + UNATTENDED_S
-        try:
-            with contextlib.suppress(KeyboardInterrupt):
-                while not self._child.wait(LOOK_S) and (self._attended or time.monotonic() < deadline):
-                    pass
-        finally:
-            self.end()
+        with contextlib.suppress(KeyboardInterrupt):
+            self._child.wait(math.inf if self._attended else UNATTENDED_S)
+        self.end()
 
     def end(self) -> None:
         """End it now."""

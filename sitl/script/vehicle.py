@@ -38,13 +38,16 @@ def script_for_vehicle(script: Script, args: argparse.Namespace) -> Script:
             raise BadInput(f"--{flag}: not with --vehicle: {reason}")
     speedup = given.get("speedup", 1.0)
     if not speedup:
-        wanted = "how fast its simulator runs, 1 for an aircraft"
-        raise BadInput(f"--speedup: 0 is not allowed with --vehicle; wanted {wanted}")
+        raise BadInput(
+            "--speedup: 0 is not allowed with --vehicle; wanted how fast its simulator runs, "
+            "1 for an aircraft"
+        )
     if any(isinstance(event, Wind) for event in script.events):
         raise BadInput("MISSION: a wind event is not allowed with --vehicle: its wind is measured")
     usual = VehiclePart()
     for field in usual.__struct_fields__:
         if field not in TAKEN and getattr(script.vehicle, field) != getattr(usual, field):
-            reason = "the autopilot has a setting of its own"
-            raise BadInput(f"MISSION: vehicle.{field} is not allowed with --vehicle: {reason}")
+            raise BadInput(
+                f"MISSION: vehicle.{field} is not allowed with --vehicle: the autopilot has its own setting"
+            )
     return script.changed({"speedup": speedup})
