@@ -88,7 +88,7 @@ lint: $(READY)
 docs: setup
 	$(BIN)/python -m docs.generate.bus > docs/bus.md
 	$(BIN)/python -m docs.generate.mavlink > docs/mavlink.md
-	$(BIN)/python -m sitl.script > missions/mission.schema.json
+	$(BIN)/python -m docs.generate.schema > missions/mission.schema.json
 	$(BIN)/python -m sitl fly --speedup 0 --record runs/mission.mcap --force
 	$(BIN)/python -m sitl draw runs/mission.mcap --out docs/mission.svg --force
 

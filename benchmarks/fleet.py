@@ -73,7 +73,7 @@ def measure(vehicles: int, seconds: float) -> Load:
             processes = Processes(Inbox())
             fleets.append(processes)
             words = ("--seed", str(instance + 1), "--speedup", str(SPEEDUP))
-            mission = Launch(script, instance=instance, uav_arguments=words)
+            mission = Launch(script=script, instance=instance, uav_arguments=words)
             start_beside(processes, mission, endpoint)
             bus = Bus("fleet", endpoint, mission.namespace, inboxes[instance], announced=False)
             buses.append(bus)

@@ -49,7 +49,7 @@ def comparisons(seed: int, policy: str, stretch: int, log: Path) -> Iterator[tup
     mission = log.with_name("mission.yaml")
     mission.write_text(MISSION.format(seed=seed, policy=policy))
     try:
-        endpoint = start_parts(processes, Launch(load(mission), uav_arguments=(str(mission),)), {})
+        endpoint = start_parts(processes, Launch(script=load(mission), uav_arguments=(str(mission),)), {})
         with Bus("bench", endpoint) as bus:
             bus.subscribe(READING)
             newest = -1

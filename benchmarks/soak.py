@@ -135,7 +135,7 @@ def fly(steps: int, folder: Path) -> dict[tuple[str, str], list[tuple[float, flo
         endless = folder / "soak.yaml"  # a battery lasts for half an hour
         endless.write_text("vehicle:\n  endurance_s: .inf\n")
         words = (str(endless), "--seed", "1", "--speedup", "0")
-        endpoint = start_parts(processes, Launch(Script().changed(changes), uav_arguments=words), {})
+        endpoint = start_parts(processes, Launch(script=Script().changed(changes), uav_arguments=words), {})
         with Bus("soak", endpoint, announced=False) as bus:
             bus.subscribe(READING, HEALTH)
             pids: dict[str, int] = {}

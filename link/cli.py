@@ -9,23 +9,33 @@ import os
 import resource
 import select
 import sys
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from link.early import INTERRUPTED, end_at_once
 from link.interrupts import STREAMS, discard, interrupt, leave, lost_thread, polled, unanswered
 
+# Exit status if the reader of stdout has gone, as in `plumeward evaluate | head -1`: that of a program
+# killed by SIGPIPE.
 UNREAD = 141
-"""Exit status if the reader of stdout has gone, as in `plumeward evaluate | head -1`: that of a program
-killed by SIGPIPE.
-"""
 BAD_INPUT = 2
 FAILED = 1
+# Names of what an estimator may take to be known; `estimator.assumptions` has what they mean.
 ASSUMPTIONS = ("field", "paper")
-"""Names of what an estimator may take to be known; `estimator.assumptions` has what they mean."""
-COMPLETING = "_ARGCOMPLETE"
-"""The environment variable by which a shell asks for completions."""
+COMPLETING = "_ARGCOMPLETE"  # the environment variable by which a shell asks for completions
+
+
+class BadInput(ValueError):
+    """Input that a command refuses; the text is one line."""
+
+
+class Command(NamedTuple):
+    """A command, by the name of its module: a part starts fast, because only its own command is imported."""
+
+    module: str  # has `add_arguments(parser)` and `run(args)`, which returns the exit status
+    does: str
 
 
 class Parser(argparse.ArgumentParser):
@@ -46,6 +56,17 @@ class Parser(argparse.ArgumentParser):
 
             argcomplete.autocomplete(self)
         return super().parse_args(args, namespace)
+
+    def parse_given(self, words: Sequence[str]) -> argparse.Namespace:
+        """Parse a command line without commands; `given` has the arguments that stand on it, by name.
+
+        argparse leaves alone what a namespace has already: the defaults, which are values and no text that
+        has yet to be parsed, are put in afterwards.
+        """
+        usual = {each.dest: each.default for each in self._actions if each.default != argparse.SUPPRESS}
+        parsed = vars(self.parse_args(words, argparse.Namespace(**dict.fromkeys(usual))))
+        given = {name: parsed[name] for name in usual if parsed[name] is not None}
+        return argparse.Namespace(**{**parsed, **usual, **given, "given": given})
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse a command line, and refuse every word that no argument takes."""
@@ -86,6 +107,25 @@ class Parser(argparse.ArgumentParser):
                 None, f"no command {value!r}{did_you_mean(value, names) or f'; wanted {listing(names)}'}"
             )
         raise argparse.ArgumentError(action, not_allowed(value, names, listing(names)))
+
+
+def front(parser: argparse.ArgumentParser, commands: Mapping[str, str]) -> argparse.ArgumentParser:
+    """Let a parser know commands by their names and what they do: it lists, completes and suggests them."""
+    known = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
+    for name, does in commands.items():
+        known.add_parser(name, help=does, add_help=False)
+    return parser
+
+
+def start(prog: str, command: Command, words: Sequence[str]) -> int:
+    """Run a command with its words; bad input is one line."""
+    module, parser = import_module(command.module), Parser(prog=prog)
+    module.add_arguments(parser)
+    try:
+        return int(module.run(parser.parse_given(words)))
+    except BadInput as error:
+        print(f"error: {error}", file=sys.stderr)
+        return BAD_INPUT
 
 
 def listing(names: Sequence[str]) -> str:
@@ -214,19 +254,19 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
     parser.add_argument(
         "--particles",
         type=listed(count) if several else count,
-        default="1000",
+        default=[1000] if several else 1000,
         metavar="N",
-        help=f"particles of the filter{more} (default: %(default)s)",
+        help=f"particles of the filter{more} (default: 1000)",
     )
     add_assume_argument(parser, "field")
     stop = parser.add_mutually_exclusive_group()
     stop.add_argument(
         "--threshold",
         type=listed(threshold) if several else threshold,
-        default="0.5",
+        default=[0.5] if several else 0.5,
         metavar="M",
         help=f"stop when the spread of the belief is below M metres, the short form of --stop spread:M{more} "
-        "(default: %(default)s)",
+        "(default: 0.5)",
     )
     add_stop_argument(stop, several=several)
     parser.add_argument(
@@ -279,7 +319,7 @@ def add_reach_arguments(parser: argparse.ArgumentParser, budget: int) -> None:
         type=whole(1, 1_000_000),
         default=budget,
         metavar="STEPS",
-        help="give up after so many moves (default: %(default)s)",
+        help="give up after this many moves (default: %(default)s)",
     )
     parser.add_argument(
         "--headings",

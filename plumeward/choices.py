@@ -2,14 +2,18 @@
 about each.
 """
 
+import argparse
 import dataclasses
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable
 
-from link import cli
+from agent.policies import policies
+from estimator.assumptions import ASSUMPTIONS
+from plume.sensor import KINDS
+from plume.worlds import WORLDS
+from sitl.script.script import load, shipped
 
-Line = tuple[str, str]
-"""A name, and what it is."""
+Line = tuple[str, str]  # a name, and what it is
 SENSORS = {
     "gaussian": "a concentration with Gaussian noise, g/m³",
     "threshold": "a concentration that reads 0 below a threshold or when missed, g/m³",
@@ -17,76 +21,48 @@ SENSORS = {
 }
 
 
-def missions() -> Iterator[Line]:
-    """Yield the shipped missions: their names, and what they show."""
-    from sitl.script.script import load, shipped
-
-    for name in shipped():
-        yield name, load(name).about
-
-
-def policies() -> Iterator[Line]:
-    """Yield the policies."""
-    from agent.policies import policies
-
-    yield from policies().items()
-
-
-def sensors() -> Iterator[Line]:
-    """Yield the sensors with their numbers, as the flag --sensor takes them."""
-    from plume.sensor import KINDS
-
-    for name, kind in KINDS.items():
-        fields = dataclasses.fields(kind)
-        numbers = ",".join(f"{field.default:g}" for field in fields)
-        yield (
-            f"{name}:{numbers}",
-            f"{SENSORS[name]}; its numbers: {', '.join(field.name for field in fields)}",
-        )
-
-
-def assumptions() -> Iterator[Line]:
-    """Yield the assumptions: what the estimator takes to be known."""
-    from estimator.assumptions import ASSUMPTIONS
-
-    yield from ASSUMPTIONS.items()
-
-
-def worlds() -> Iterator[Line]:
-    """Yield the worlds."""
-    from plume.worlds import WORLDS
-
-    for name, world in WORLDS.items():
-        yield name, world.about
-
-
-LISTS: dict[str, tuple[str, Callable[[], Iterator[Line]]]] = {
-    "missions": ("plumeward fly MISSION", missions),
-    "policies": ("--policy NAME", policies),
-    "sensors": ("--sensor KIND or KIND:NUMBERS", sensors),
-    "assumptions": ("--assume NAME", assumptions),
-    "worlds": ("--world NAME", worlds),
+HOW = {
+    "missions": "plumeward fly MISSION",
+    "policies": "--policy NAME",
+    "sensors": "--sensor KIND or KIND:NUMBERS",
+    "assumptions": "--assume NAME",
+    "worlds": "--world NAME",
 }
-"""Each list: how a command takes its names, and the function that yields its lines."""
+"""The lists, and how a command takes their names."""
 
 
-def main(arguments: list[str]) -> int:
+def lines(what: str) -> Iterable[Line]:
+    """Yield the lines of a list."""
+    match what:
+        case "missions":
+            yield from ((name, load(name).about) for name in shipped())
+        case "policies":
+            yield from policies().items()
+        case "sensors":
+            for name, kind in KINDS.items():
+                fields = dataclasses.fields(kind)
+                numbers = ",".join(f"{field.default:g}" for field in fields)
+                meaning = f"its numbers: {', '.join(field.name for field in fields)}"
+                yield f"{name}:{numbers}", f"{SENSORS[name]}; {meaning}"
+        case "assumptions":
+            yield from ASSUMPTIONS.items()
+        case "worlds":
+            yield from ((name, world.about) for name, world in WORLDS.items())
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the list to print."""
+    parser.description = "List the missions, policies, sensors, assumptions and worlds to choose from."
+    parser.add_argument("what", nargs="?", choices=tuple(HOW), help="list only these (default: all)")
+
+
+def run(args: argparse.Namespace) -> int:
     """Print one list, or all of them."""
-    parser = cli.Parser(
-        prog="plumeward list",
-        description="List the missions, policies, sensors, assumptions and worlds to choose from.",
-    )
-    parser.add_argument("what", nargs="?", choices=tuple(LISTS), help="list only these (default: all)")
-    what = parser.parse_args(arguments).what
-    for number, name in enumerate([what] if what else LISTS):
-        how, lines = LISTS[name]
-        print(f"{chr(10) if number else ''}{name.capitalize()}: {how}")
-        shown = list(lines())
+    for number, name in enumerate([args.what] if args.what else HOW):
+        print(f"{chr(10) if number else ''}{name.capitalize()}: {HOW[name]}")
+        shown = list(lines(name))
         width = max(len(key) for key, _ in shown) + 4
         for key, about in shown:
-            print(
-                textwrap.fill(
-                    about, 80, initial_indent=f"  {key}".ljust(width), subsequent_indent=" " * width
-                )
-            )
+            first, rest = f"  {key}".ljust(width), " " * width
+            print(textwrap.fill(about, 80, initial_indent=first, subsequent_indent=rest))
     return 0

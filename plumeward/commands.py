@@ -1,60 +1,41 @@
-"""The commands of `plumeward`: `plumeward fly`, `plumeward evaluate` and the others run the command lines
-of the packages.
-"""
+"""The commands of `plumeward`: those of `python -m sitl`, and the command lines of the other packages."""
 
-import argparse
 import os
 import sys
 from importlib import import_module
-from typing import Any, NamedTuple
 
 from link import cli
+from link.cli import Command
 from plume import __version__
+from sitl.__main__ import COMMANDS as OF_SITL
 
-
-class Command(NamedTuple):
-    """A command of `plumeward`."""
-
-    package: str
-    """The package that runs it."""
-    does: str
-
-
-GROUPS = {
-    "Fly a mission": {
-        "fly": Command("sitl", "fly one mission, each part a process of its own"),
-        "rollout": Command("agent", "fly one mission in this process, without a network"),
-        "list": Command("plumeward", "list the missions, policies, sensors, assumptions and worlds"),
-    },
-    "Look at missions": {
-        "view": Command("sitl", "show missions on a page, live or recorded"),
-        "status": Command("sitl", "show how the parts of a running mission are doing"),
-        "log": Command("sitl", "summarise a log, or print one of its keys as CSV"),
-        "draw": Command("sitl", "draw a log as a picture or an animation"),
-        "replay": Command("sitl", "feed a log to the estimator and agent again"),
-        "record": Command("sitl", "record everything on a bus until interrupted"),
-    },
-    "Compare and train policies": {
-        "evaluate": Command("agent", "fly many missions and print the policies' figures"),
-        "train": Command("agent", "train a policy with PPO, DQN or DDPG"),
-        "report": Command("agent", "draw tables and figures from the missions of evaluate"),
-    },
-    "Run one part alone": {
-        "router": Command("sitl", "the Zenoh router"),
-        "uav": Command("sitl", "the simulated vehicle"),
-        "payload": Command("sitl", "the gas sensor of a real autopilot"),
-        "bridge": Command("sitl", "ground stations and autopilots over UDP, TCP, serial"),
-        "estimator": Command("estimator", "the estimator: readings in, beliefs and the stop out"),
-        "agent": Command("agent", "the agent: beliefs in, waypoints out"),
-    },
-    "Keep strangers out": {
-        "certs": Command("link", "make the certificates that --secure takes"),
-    },
+# Commands that the command line of a package parses.
+PACKAGES = {
+    "rollout": Command("agent", "fly one mission in this process, without a network"),
+    "evaluate": Command("agent", "fly many missions and print the policies' figures"),
+    "train": Command("agent", "train a policy with PPO, DQN or DDPG"),
+    "report": Command("agent", "draw tables and figures from the missions of evaluate"),
+    "estimator": Command("estimator", "the estimator: readings in, beliefs and the stop out"),
+    "agent": Command("agent", "the agent: beliefs in, waypoints out"),
+    "certs": Command("link", "make the certificates that --secure takes"),
 }
-"""The commands as the help shows them."""
-COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
+# The commands as the help shows them.
+GROUPS = {
+    "Fly a mission": ("fly", "rollout", "list"),
+    "Look at missions": ("view", "status", "log", "draw", "replay", "record"),
+    "Compare and train policies": ("evaluate", "train", "report"),
+    "Run one part alone": ("router", "uav", "payload", "bridge", "estimator", "agent"),
+    "Keep strangers out": ("certs",),
+}
+KNOWN = {
+    **OF_SITL,
+    **PACKAGES,
+    "fly": OF_SITL["fly"]._replace(module="plumeward.flight"),
+    "list": Command("plumeward.choices", "list the missions, policies, sensors, assumptions and worlds"),
+}
+COMMANDS = {name: KNOWN[name] for names in GROUPS.values() for name in names}
+# Commands that run the whole command line of a package, not one of its sub-commands.
 SERVICES = ("estimator", "agent")
-"""Commands that run the whole command line of a package, not one of its sub-commands."""
 COMPLETION = 'Tab completion in bash or zsh: eval "$(register-python-argcomplete plumeward)"'
 
 
@@ -66,8 +47,8 @@ def help_text() -> str:
         "Fly a simulated drone to a gas leak. A particle filter locates the leak",
         "and decides when the search may stop.",
     ]
-    for group, commands in GROUPS.items():
-        lines += ["", f"{group}:", *(f"  {name:<10} {command.does}" for name, command in commands.items())]
+    for group, names in GROUPS.items():
+        lines += ["", f"{group}:", *(f"  {name:<10} {COMMANDS[name].does}" for name in names)]
     lines += [
         "",
         "Options:",
@@ -87,17 +68,15 @@ class _Front(cli.Parser):
         return help_text()
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Front(prog="plumeward")
-    parser.add_argument("--version", action="version", version=f"plumeward {__version__}")
-    commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=cli.Parser)
-    for name, command in COMMANDS.items():
-        commands.add_parser(name, help=command.does, add_help=False)
-    return parser
+def _front() -> _Front:
+    front = _Front(prog="plumeward")
+    front.add_argument("--version", action="version", version=f"plumeward {__version__}")
+    cli.front(front, {name: command.does for name, command in COMMANDS.items()})
+    return front
 
 
 def main() -> int | None:
-    """Hand the command line to the package that runs the command."""
+    """Run a command; without one, print the help."""
     words = sys.argv[1:]
     if cli.COMPLETING in os.environ:
         words = _words_to_complete()
@@ -105,31 +84,17 @@ def main() -> int | None:
         print(help_text(), end="")
         return 0
     if words[0] not in COMMANDS:
-        _parser().parse_args(words[:1])
-    return _run(words[0], words[1:])
-
-
-def _run(name: str, words: list[str]) -> int | None:
+        _front().parse_args(words[:1])
+    name, command = words[0], COMMANDS[words[0]]
+    if name not in PACKAGES:
+        return cli.start(f"plumeward {name}", command, words[1:])
+    package = import_module(f"{command.module}.__main__")
     status: int | None
-    if name == "list":
-        from plumeward import choices
-
-        return choices.main(words)
-    package = import_module(f"{COMMANDS[name].package}.__main__")
     if name in SERVICES:
-        status = package.main(f"plumeward {name}", words)
-    elif name == "fly":
-        status = package.main("plumeward", [name, *words], **_policies())
+        status = package.main(f"plumeward {name}", words[1:])
     else:
-        status = package.main("plumeward", [name, *words])
+        status = package.main("plumeward", words)
     return status
-
-
-def _policies() -> dict[str, Any]:
-    """Return the arguments by which `fly`, which must not import the agent, learns the policies."""
-    from agent.policies import check, named
-
-    return {"check_policy": check, "policies": named}
 
 
 def _words_to_complete() -> list[str]:
@@ -141,7 +106,7 @@ def _words_to_complete() -> list[str]:
     start = int(os.environ[cli.COMPLETING])  # the words that `plumeward` itself takes in the line
     words = complete[start : start + 1]
     if not words or words[0] not in COMMANDS:
-        _parser().parse_args([])  # offers the commands and exits
-    if words[0] in (*SERVICES, "list"):
+        _front().parse_args([])  # offers the commands and exits
+    if words[0] in SERVICES or words[0] not in PACKAGES:
         os.environ[cli.COMPLETING] = str(start + 1)  # their parsers begin behind the command
     return words

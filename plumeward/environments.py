@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
+# The name of each, and whether its actions are continuous.
 ENVIRONMENTS = {"plumeward/SourceSearch-v0": False, "plumeward/SourceSearchContinuous-v0": True}
-"""The name of each, and whether its actions are continuous."""
 
 
 def register() -> None:

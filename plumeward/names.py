@@ -4,8 +4,8 @@ import sys
 from importlib.util import find_spec
 from os import path  # `pathlib` takes longer to load than all the rest
 
+# The packages beside `plumeward` itself.
 PACKAGES = ("plume", "link", "estimator", "aircraft", "sitl", "scene", "agent", "ground")
-"""The packages beside `plumeward` itself."""
 ROOT = path.dirname(path.dirname(path.realpath(__file__)))
 
 

@@ -1,4 +1,4 @@
 """The command that flies missions; the vehicle and all around it are in its rooms.
 
-Imports: nothing of ours.
+Imports: link.
 """

@@ -71,7 +71,7 @@ OF = {extra: names(requirements) for extra, requirements in PROJECT["optional-de
 @cache
 def imported(*folders: str) -> dict[str, set[str]]:
     """The modules of others that the code in these folders imports, and the files that do."""
-    own = {*PACKAGES, *DEVELOPMENT, *sys.stdlib_module_names}
+    own = {*PACKAGES, *DEVELOPMENT, "docs", *sys.stdlib_module_names}
     found: dict[str, set[str]] = {}
     for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):

@@ -184,7 +184,7 @@ def test_the_services_get_neither_the_missions_seed_nor_its_source(monkeypatch: 
         def readline(self) -> str:
             return "tcp/127.0.0.1:7447\n"
 
-    def start(_self: Processes, part: str, _module: str, *arguments: str) -> Out:
+    def start(_self: Processes, part: str, _module: str, *arguments: str, **_kind: object) -> Out:
         started[part] = arguments
         return Out()
 
@@ -192,7 +192,9 @@ def test_the_services_get_neither_the_missions_seed_nor_its_source(monkeypatch: 
     script = Script(seed=123456, world="all-at-once")
     truth = script.simulated().truth
     mission = Launch(
-        script, uav_arguments=("--seed", "123456", "--world", "all-at-once"), record=Path("record.mcap")
+        script=script,
+        uav_arguments=("--seed", "123456", "--world", "all-at-once"),
+        record=Path("record.mcap"),
     )
     start_parts(Processes(queue.SimpleQueue()), mission, {})
     secrets = {

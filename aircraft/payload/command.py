@@ -23,19 +23,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cli.add_bus_arguments(parser)
 
 
-def run(args: argparse.Namespace, given: argparse.Namespace, world: World) -> int:
-    """Answer the vehicle's questions until interrupted. given: the arguments on the command line; world:
-    what is simulated.
-    """
-    if args.payload != SIMULATED and (
-        idle := [name for name in OF_THE_PLUME if getattr(given, name, None) is not None]
-    ):
+def run(args: argparse.Namespace, world: World) -> int:
+    """Answer the vehicle's questions until interrupted. world: what is simulated. Raises BadInput."""
+    if args.payload != SIMULATED and (idle := [name for name in OF_THE_PLUME if name in args.given]):
         flag = "MISSION" if idle[0] == "mission" else f"--{idle[0]}"
-        print(
-            f"error: {flag}: only with --payload {SIMULATED}; {args.payload} measures what there is",
-            file=sys.stderr,
-        )
-        return cli.BAD_INPUT
+        why = f"only with --payload {SIMULATED}; {args.payload} measures what there is"
+        raise cli.BadInput(f"{flag}: {why}")
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(

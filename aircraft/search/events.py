@@ -14,7 +14,7 @@ Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 StepNumber = Annotated[
     int, Meta(ge=0, description="a whole number from 0: number of the reading, 0 at the start")
 ]
-TimeS = Annotated[float, Meta(ge=0, description="a number from 0: simulation time, s")]
+TimeS = Annotated[float, Meta(ge=0, le=MOST, description="a number from 0: simulation time, s")]
 Radians = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
 
 
@@ -42,7 +42,7 @@ class Wind(ScriptEvent, frozen=True, tag="wind"):
 class Dropout(ScriptEvent, frozen=True, tag="dropout"):
     """The sensor gives no value (NaN); the vehicle waits and tries again every second."""
 
-    for_s: Annotated[float, Meta(gt=0, description="a number above 0: simulation time, s")]
+    for_s: Annotated[float, Meta(gt=0, le=MOST, description="a number above 0: simulation time, s")]
 
 
 class Stuck(ScriptEvent, frozen=True, tag="stuck"):

@@ -35,8 +35,8 @@ from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH
 from link.bus.messages import Belief
 from link.bus.session import Arrival, Bus
+from sitl.launch.child import environment
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
-from sitl.launch.processes import environment
 from sitl.script.events import Cut, Kill
 from sitl.script.script import Script
 
@@ -131,7 +131,7 @@ class Mission:
 
     def service(self, name: str) -> tuple[str, ...]:
         """Return the words that start estimator or agent as the launcher would."""
-        words = {"estimator": estimator_arguments, "agent": agent_arguments}[name](Launch(self.script))
+        words = {"estimator": estimator_arguments, "agent": agent_arguments}[name](Launch(script=self.script))
         return (name, "--connect", self.endpoint, *words)
 
     def launch(self) -> Part:

@@ -1,4 +1,5 @@
 """Missions as processes: started, watched, disturbed and ended.
 
-Imports: plume, link, link.access, link.bus, aircraft, aircraft.payload, sitl.script, scene.follow.
+Imports: plume, link, link.access, link.bus, aircraft, aircraft.payload, aircraft.remote, sitl.script,
+sitl.uav, scene.follow.
 """

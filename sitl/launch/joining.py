@@ -8,37 +8,32 @@ from collections.abc import Callable, Collection
 from link.bus.keys import HEALTH, SEARCHERS
 from link.bus.messages import Health
 from link.bus.session import Arrival, Bus, LivelinessChange
-from sitl.launch.processes import MissionFailed
+from link.cli import BadInput
+from sitl.launch.child import MissionFailed
 from sitl.script.events import Cut, Kill, Lawnmower, Waypoints
 from sitl.script.script import AgentPart, EstimatorPart, Script
 
-THEIRS = {"estimator": EstimatorPart(), "agent": AgentPart()}
+USUAL = {"estimator": EstimatorPart(), "agent": AgentPart()}
 SAY_AFTER_S = 1.0
 
 
-def refusal(script: Script, given: Collection[str]) -> str | None:
-    """Return why a script cannot be flown with services that run elsewhere, or None. `given`: fields set
-    by flags, such as agent.policy.
+def check_connect(script: Script, given: Collection[str]) -> None:
+    """Raise BadInput if a script cannot be flown with services that run elsewhere. `given`: fields set by
+    flags, such as agent.policy.
     """
-    for part, usual in THEIRS.items():
-        told = getattr(script, part)
-        changed = {
-            f"{part}.{field}"
-            for field in told.__struct_fields__
-            if getattr(told, field) != getattr(usual, field)
-        }
-        # The launcher uses the budget too: it ends the mission.
-        for field in sorted(
-            (changed | {name for name in given if name.startswith(f"{part}.")}) - {"agent.budget"}
-        ):
-            return f"--connect: {field} cannot be chosen: the {part} runs elsewhere, with its own flags"
+    for part, usual in USUAL.items():
+        chosen = getattr(script, part)
+        for field in sorted(chosen.__struct_fields__):
+            name = f"{part}.{field}"
+            changed = name in given or getattr(chosen, field) != getattr(usual, field)
+            if changed and name != "agent.budget":  # the launcher uses the budget, too: it ends the mission
+                why = f"the {part} runs elsewhere, with its own flags"
+                raise BadInput(f"--connect: {name} cannot be chosen: {why}")
     for number, event in enumerate(script.events):
         if isinstance(event, Kill | Cut | Waypoints | Lawnmower):
             tag = event.__struct_config__.tag
-            return (
-                f"--connect: events[{number}], {tag}, cannot happen: it needs parts that this command starts"
-            )
-    return None
+            why = "it needs parts that this command starts"
+            raise BadInput(f"--connect: events[{number}], {tag}, cannot happen: {why}")
 
 
 def await_services(bus: Bus, namespace: str, say: Callable[[str], None], wait_s: float) -> str:

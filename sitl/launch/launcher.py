@@ -5,60 +5,52 @@ import math
 import re
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import msgspec
 
 from aircraft.operator import AUTOPILOT, LAUNCHER, SEARCH, CommandName, order
-from link.bus.frames import Frame
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.log import LEVELS
-from link.bus.mavlink import BadFrame, Codec
-from link.bus.messages import Belief, Health, Stop
+from link.bus.mavlink import Codec
+from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.terminal import printable
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.worlds import AS_MODELLED
-from scene.follow.area import PLACING, AreaFrame
-from scene.follow.telemetry import LOCAL, frames
+from sitl.launch.child import Ended, LogLine, MissionFailed, raise_for
 from sitl.launch.disturbances import Disturbances
+from sitl.launch.heard import MissionHeard
 from sitl.launch.joining import await_services
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
-from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes, raise_for, secure_words
+from sitl.launch.processes import FLYING, KINDS, RECORDER, ROUTER, Processes, secure_words
 from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
-from sitl.launch.trace import HeardTrace
 from sitl.launch.viewing import MissionPage
-from sitl.launch.watchdog import LOOK_S, RECORDER, ROUTER, Watchdog
+from sitl.launch.watchdog import LOOK_S, Watchdog
 from sitl.script.events import Cut, Kill
 from sitl.script.script import Expectation, Script
 
 PAYLOAD = "payload"
-CALL_EVERY_S = 1.0
-"""Real time between two commands to return home."""
-AT_HOME_M, ON_GROUND_M = 0.5, 0.1
-LATE_STOP_S = 2.0
-"""A stop may reach us so much later than the vehicle, which lands because of it."""
-SHOWN = re.compile("Script: |Check: ")
-"""Lines that are shown whatever their level."""
+CALL_EVERY_S = 1.0  # real time between two commands to return home
+LATE_STOP_S = 2.0  # a stop may reach us this much later than the vehicle, which lands because of it
+SHOWN = re.compile("Script: |Check: ")  # lines that are shown whatever their level
+# Real time that record and trace may lag behind the mission's end: a part that was cut off receives first
+# what it missed.
 LAG_S = 5.0
-"""Real time that record and trace may lag behind the mission's end: who was cut off first receives what
-was missed.
-"""
 
 
 class Flown(NamedTuple):
     """The result of a mission."""
 
-    script: Script
-    """Names the agent's own policy where the agent runs elsewhere."""
+    script: Script  # names the agent's own policy where the agent runs elsewhere
     outcome: Outcome
     trace: list[TracePoint]
-    expectations: dict[Expectation, bool]
-    """What the script expects, and whether it came true."""
+    expectations: dict[Expectation, bool]  # what the script expects, and whether it came true
 
     def json(self, *, with_trace: bool) -> str:
         """One line of JSON, with the expectations if there are any."""
@@ -71,52 +63,41 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
 
     Raises MissionFailed if a part dies or hangs, or if the vehicle gives up unexpectedly.
     """
-    if files:
-        mission = mission._replace(record=files.path)
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
-        starting = ["uav"] if mission.connect else ["router", "uav", "estimator", "agent"]
-        progress = stack.enter_context(
-            Progress(mission.script.budget, ", ".join([*starting, *[PAYLOAD] * bool(mission.vehicle)]))
-        )
+        starting = ["uav"] if mission.router.connect else [ROUTER, "uav", "estimator", "agent"]
+        starting += [PAYLOAD] * bool(mission.real)
+        progress = stack.enter_context(Progress(mission.script.budget, ", ".join(starting)))
         processes = stack.enter_context(Processes(inbox))
         if page:
             stack.callback(page.over, processes)
         relays: dict[str, Relay] = {}
 
         def join(endpoint: str) -> Bus:
-            bus = stack.enter_context(
-                Bus("mission", endpoint, mission.namespace, inbox, announced=False, secure=mission.secure)
-            )
+            secure = mission.router.secure
+            bus = Bus("mission", endpoint, mission.namespace, inbox, announced=False, secure=secure)
+            stack.enter_context(bus)
             bus.subscribe(READING, BELIEF, STOP, HEALTH)
             return bus
 
-        def start() -> str:
-            endpoint = start_parts(processes, mission, relays, page, progress.say)
-            if files:
-                files.made = True
-            return endpoint
-
-        if mission.connect:
-            bus = join(mission.connect)
-            policy = await_services(bus, mission.namespace, progress.say, mission.wait_s)
-            mission = mission._replace(script=mission.script.changed({"agent.policy": policy}))
-            endpoint = start()
-        else:
-            endpoint = start()
+        if mission.router.connect:
+            bus = join(mission.router.connect)
+            wait_s = mission.real.wait_s if mission.real else math.inf
+            policy = await_services(bus, mission.namespace, progress.say, wait_s)
+            mission = replace(mission, script=mission.script.changed({"agent.policy": policy}))
+        endpoint = start_parts(processes, mission, relays, page, progress.say)
+        if files:
+            files.made = True
+        if not mission.router.connect:
             bus = join(endpoint)
         for relay in relays.values():
             stack.callback(relay.close)
-        parts = [
-            ROUTER,
-            "uav",
-            *SEARCHERS,
-            *[PAYLOAD] * bool(mission.vehicle),
-            *[RECORDER] * bool(mission.record),
-        ]
-        watchdog = Watchdog(parts, mission.patience_s, time.monotonic(), progress.say, processes.tell_stacks)
+        watched = [ROUTER, "uav", *SEARCHERS]
+        watched += [PAYLOAD] * bool(mission.real) + [RECORDER] * bool(mission.record)
+        now_s, say = time.monotonic(), progress.say
+        watchdog = Watchdog(watched, mission.patience_s, now_s, say, processes.tell_stacks)
         events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
-        disturbances = Disturbances(events, processes, relays, watchdog, progress.say)
+        disturbances = Disturbances(events, processes, relays, watchdog, say)
         return MissionWatch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()
 
 
@@ -132,25 +113,20 @@ def start_parts(
 
     Raises MissionFailed if the router or the recorder cannot start.
     """
-    script = mission.script
-    endpoint = mission.connect or processes.start_router(mission.listen, mission.secure)
+    script, real = mission.script, mission.real
+    connect, secured = mission.router.connect, secure_words(mission.router.secure)
+    endpoint = connect or processes.start_router(mission.router.listen, mission.router.secure)
     level = "debug" if mission.log_level == "debug" else "info"  # the launcher filters what it shows
-    relays |= {
-        part: Relay(endpoint)
-        for part in sorted({event.part for event in script.events if isinstance(event, Cut)})
-    }
-
-    secured = secure_words(mission.secure)
+    for part in sorted({event.part for event in script.events if isinstance(event, Cut)}):
+        relays[part] = Relay(endpoint)
 
     def joining(part: str) -> tuple[str, ...]:
         router = relays[part].endpoint if part in relays else endpoint
         return "--connect", router, "--namespace", mission.namespace, "--log-level", level, *secured
 
-    services = (
-        {}
-        if mission.connect
-        else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
-    )
+    services = {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
+    if connect:
+        services = {}
     about = {
         "namespace": mission.namespace,
         "mission": script,
@@ -161,41 +137,33 @@ def start_parts(
     }
     if truth := mission.truth:
         about["scenario"] = truth
-    if mission.vehicle:
-        about |= {"vehicle": mission.vehicle, "payload": mission.payload}
+    if real:
+        about |= {"vehicle": real.url, "payload": real.payload}
     about_json = msgspec.json.encode(about).decode()
-    recording = None
+    recorder = None
     if mission.record:
-        recording = processes.start(
-            "recorder", "sitl", "record", str(mission.record), *joining("recorder"), "--about", about_json
-        )
+        words = (str(mission.record), *joining(RECORDER), "--about", about_json)
+        recorder = processes.start(RECORDER, "sitl", "record", *words)
     if page:
         page.start(processes, ("--connect", endpoint, *secured), about_json)
-    for service, words in services.items():
-        processes.start(service, service, *joining(service), *words)
-    if recording:
-        processes.answer(recording)  # it records everything from now on
+    for service, arguments in services.items():
+        processes.start(service, service, *joining(service), *arguments)
+    if recorder:
+        processes.answer(recorder)  # it records everything from now on
     if page:
         page.await_start(say)
-    words = [*mission.uav_arguments, *joining("uav"), "-I", str(mission.instance)]
-    if mission.vehicle:
-        processes.start(
-            PAYLOAD,
-            "sitl",
-            "payload",
-            "--payload",
-            mission.payload,
-            *mission.payload_arguments,
-            *joining(PAYLOAD),
-        )
-        processes.start("uav", "sitl", "uav", "--vehicle", mission.vehicle, *words).flies = True
+    uav_words = [*mission.uav_arguments, *joining("uav"), "-I", str(mission.instance)]
+    if real:
+        words = ("--payload", real.payload, *real.payload_arguments, *joining(PAYLOAD))
+        processes.start(PAYLOAD, "sitl", "payload", *words)
+        processes.start("uav", "sitl", "uav", "--vehicle", real.url, *uav_words, kind=FLYING)
     else:
-        processes.start("uav", "sitl", "uav", *words)
+        processes.start("uav", "sitl", "uav", *uav_words)
     return endpoint
 
 
 class MissionWatch:
-    """Watches one mission until its end."""
+    """Watches one mission until its end: the search, the landing, and what lags behind them."""
 
     def __init__(
         self,
@@ -213,76 +181,83 @@ class MissionWatch:
         self._mission = mission
         self._script = mission.script
         self._bus = bus
+        self._say = progress.say
         self._progress = progress
         self._watchdog = watchdog
-        self._look_at, self._began_at = 0.0, time.monotonic()
         self._disturbances = disturbances
         self._endpoint = endpoint
         self._files = files
-        self._trace = HeardTrace()
-        self._compute: dict[str, Health] = {}
-        self._compiling = False
-        self._last: Belief | None = None
-        self._distance_m = 0.0
+        self._heard = MissionHeard(bus, mission.system)
+        self._began_at, self._look_at = time.monotonic(), 0.0
         self._last_words: dict[str, str] = {}
-        self._warned = False
+        # Services elsewhere that have left the bus, and parts without which the mission goes on.
         self._gone: set[str] = set()
-        self._record_ended = False
-        self._stopped = self._landed = False
-        self._landed_since = 0.0
-        self._area, self._landed_at = AreaFrame(), (math.nan, math.nan)
 
     def until_the_end(self) -> Flown:
         """Watch; returns the result."""
-        script = self._script
-        lost_at = math.inf  # from then on what has not come counts as lost
-        while not self._over and time.monotonic() < lost_at:
+        self._await_search()
+        last = self._searched()
+        self._await_landing(last)
+        self._await_record(last.step)
+        deadline = time.monotonic() + LAG_S
+        while self._heard.trace.missing and (left_s := deadline - time.monotonic()) > 0:
+            self._listen(left_s)
+        return self._flown(last)
+
+    # ---- the search ----
+
+    def _await_search(self) -> None:
+        """Wait until the search is over: its last belief has come, with the compute times that follow it.
+        What does not come within the patience counts as lost.
+        """
+        heard, lost_at = self._heard, math.inf
+        while not self._is_complete() and time.monotonic() < lost_at:
             self._listen(self._disturbances.wait_s())
-            if self._last:
-                self._disturbances.reached(self._last.step, self._time_s(self._last.step))
-            if self._landed and not self._stopped and time.monotonic() >= self._landed_since + LATE_STOP_S:
+            if heard.last:
+                self._disturbances.reached(heard.last.step, self._time_s(heard.last.step))
+            if not heard.stopped and time.monotonic() >= heard.landed_since_s + LATE_STOP_S:
                 break
-            if not (self._stopped or self._ceased) or self._disturbances.wait_s() is not None:
+            if not (heard.stopped or self._has_ended()) or self._disturbances.wait_s() is not None:
                 lost_at = time.monotonic() + self._mission.patience_s
-        if self._stopped and not self._ceased:
+
+    def _has_ended(self) -> bool:
+        """Whether the last belief has come."""
+        last = self._heard.last
+        return last is not None and (last.ceased or last.step >= self._script.budget)
+
+    def _is_complete(self) -> bool:
+        """Whether the last belief has come, and then the health of those who made it and answered it."""
+        last, health = self._heard.last, self._heard.health
+        if last is None or not self._has_ended():
+            return False
+        wanted = {"estimator": last.step, "agent": last.step - 1}
+        return all(service in health and health[service].step >= step for service, step in wanted.items())
+
+    def _searched(self) -> Belief:
+        """Return the last belief. Raises MissionFailed if the search has not come to its end."""
+        heard = self._heard
+        if heard.stopped and not self._has_ended():
             raise MissionFailed("the estimator has declared the stop, but its last belief was not received")
-        if self._last is None or (self._landed and not self._ceased and not script.expectations):
-            if self._landed and (how := "; ".join(self._compute["uav"].warnings)):
+        broken_off = heard.landed and not self._has_ended() and not self._script.expectations
+        if heard.last is None or broken_off:
+            if heard.landed and (how := "; ".join(heard.health["uav"].warnings)):
                 raise MissionFailed(how)
             words = self._last_words.get("uav", "none")
             raise MissionFailed(f"the uav landed before the search was over; its last words: {words}")
-        self._await_landing(self._last)
-        self._await_record(self._last.step)
-        self._await_trace()
-        return self._flown(self._last)
+        return heard.last
 
     def _time_s(self, step: int) -> float:
         """Return the time that a script's events count by, s: a reading's own, but a real vehicle's clock
         began before the mission.
         """
-        since_s = (time.monotonic() - self._began_at) * self._script.speedup
-        return since_s if self._mission.vehicle else self._trace.time_s(step)
-
-    @property
-    def _over(self) -> bool:
-        """Whether the search is over and the last compute times, which follow the last belief, have
-        arrived.
-        """
-        last, compute = self._last, self._compute
-        if last is None or not self._ceased:
-            return False
-        wanted = {"estimator": last.step, "agent": last.step - 1}
-        return all(service in compute and compute[service].step >= step for service, step in wanted.items())
-
-    @property
-    def _ceased(self) -> bool:
-        """Whether the last belief has come."""
-        return self._last is not None and (self._last.ceased or self._last.step >= self._script.budget)
+        if self._mission.real:
+            return (time.monotonic() - self._began_at) * self._script.speedup
+        return self._heard.trace.time_s(step)
 
     def _listen(self, timeout_s: float | None) -> None:
         """Handle what arrives within a time, and check now and then for silent parts."""
-        if self._last is None:
-            self._progress.wait(self._reason())
+        if self._heard.last is None:
+            self._progress.wait(self._awaited())
         self._take(self._bus.receive(LOOK_S if timeout_s is None else min(timeout_s, LOOK_S)))
         now_s = time.monotonic()
         if now_s >= self._look_at:
@@ -290,175 +265,128 @@ class MissionWatch:
             if reason := self._watchdog.look(now_s, self._bus.connected):
                 raise MissionFailed(reason)
 
-    def _reason(self) -> str:
+    def _awaited(self) -> str:
         """Return what the first belief waits for."""
-        uav = self._compute.get("uav")
-        if uav and uav.state != "standby":
-            return "flying to the start" if uav.state == "searching" else uav.state
-        missing = sorted({*SEARCHERS, "uav", *[PAYLOAD] * bool(self._mission.vehicle)} - set(self._compute))
-        if self._compiling and SEARCHERS & set(missing):
+        health = self._heard.health
+        if self._heard.state == "searching":
+            return "flying to the start"
+        if self._heard.state not in ("", "standby"):
+            return self._heard.state
+        missing = sorted({*SEARCHERS, "uav", *[PAYLOAD] * bool(self._mission.real)} - set(health))
+        if any(self._last_words.get(part) == COMPILING for part in missing):
             return COMPILING
-        return (
-            f"waiting for {', '.join(missing)}"
-            if missing or uav is None
-            else "; ".join(uav.warnings) or "waiting for takeoff"
-        )
+        if missing:
+            return f"waiting for {', '.join(missing)}"
+        return "; ".join(health["uav"].warnings) or "waiting for takeoff"
 
     def _take(self, item: Any) -> None:
+        now_s = time.monotonic()
         match item:
-            case Ended(part="recorder"):
-                self._record_ended = True
-                self._watchdog.ended(RECORDER)
-                self._progress.say(f"warning: the recording stopped: {item.last_words}")
-            case Ended(part="view"):
-                self._progress.say(f"warning: the page ended: {item.last_words}")
+            case Ended(part=part) if part in KINDS and (spared := KINDS[part].spared):
+                self._gone.add(part)
+                self._watchdog.ended(part)
+                self._say(f"warning: {spared}: {item.last_words}")
             case Ended():
                 raise_for(item)
             case LogLine(part, line, level):
                 self._last_words[part] = line
-                self._compiling = self._compiling or line == COMPILING
                 if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or SHOWN.search(line):
-                    self._progress.say(line)
-            case LivelinessChange(service, alive) if self._mission.connect and service in SEARCHERS:
+                    self._say(line)
+            case LivelinessChange(service, alive) if self._mission.router.connect and service in SEARCHERS:
                 if not alive:
-                    self._progress.say(f"warning: the {service} is gone")
+                    self._gone.add(service)
+                    self._say(f"warning: the {service} is gone")
                 elif service in self._gone:
-                    self._progress.say(f"the {service} is back")
-                    self._watchdog.begins(service, time.monotonic())
-                (self._gone.discard if alive else self._gone.add)(service)
-            case Arrival(key) if key is STOP:
-                self._stopped = self._stopped or self._bus.decode(item, Stop) is not None
-            case Arrival(key) if key is BELIEF:
-                if (belief := self._bus.decode(item, Belief)) and self._trace.belief(belief):
-                    self._follow(belief)
-            case Arrival(key, payload) if key is READING:
-                self._trace.reading(payload, self._system or None)
-            case Arrival(key) if key is HEALTH:
-                if health := self._bus.decode(item, Health):
-                    self._watchdog.heard(health.service, time.monotonic())
-                    self._compute[health.service] = health
-                    self._warned = self._warned or bool(health.service == "estimator" and health.warnings)
-                    if (health.service, health.state) == ("uav", "landed") and not self._landed:
-                        self._landed, self._landed_since = True, time.monotonic()
-            case Arrival(key, payload) if key is MAVLINK_OUT:
-                self._follow_down(payload)
+                    self._gone.remove(service)
+                    self._say(f"the {service} is back")
+                    self._watchdog.begins(service, now_s)
+            case Arrival():
+                is_first = self._heard.last is None
+                match self._heard.take(item, now_s):
+                    case Health(service=service):
+                        self._watchdog.heard(service, now_s)
+                    case Belief() as belief:
+                        if is_first:
+                            self._introduce()
+                        self._progress.show(belief, self._heard.distance_m)
 
-    def _follow_down(self, payload: bytes) -> None:
-        """Note where the vehicle stands, m from home."""
-        with contextlib.suppress(BadFrame):
-            for frame, fields in frames(payload, {*PLACING, LOCAL}, self._is_vehicle):
-                if frame.message_id in PLACING:
-                    self._area.take(frame.message_id, fields)
-                elif (place := self._area.place(fields)) and (self._area.on_ground or place[2] < ON_GROUND_M):
-                    self._landed_at = place[:2]
-
-    def _is_vehicle(self, frame: Frame) -> bool:
-        return frame.system == self._system and frame.component == AUTOPILOT
-
-    @property
-    def _system(self) -> int:
-        """The vehicle's MAVLink system id, as its health tells it: a real autopilot has its own. 0: not
-        known yet.
-        """
-        uav = self._compute.get("uav")
-        return (uav.system if uav else 0) or self._mission.system or 0
-
-    def _follow(self, belief: Belief) -> None:
+    def _introduce(self) -> None:
+        """Say what is flown, once the search has begun; from then on its record counts."""
         script = self._script
-        if self._last and belief.step < self._last.step:
-            return  # it was missed, and comes late
-        if self._last is None:
-            if script.about:
-                self._progress.say(printable(script.about))
-            where = "" if script.world == AS_MODELLED else f"world {script.world}, "
-            self._progress.say(
-                f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}"
-            )
-            self._progress.say(f"router at {self._endpoint}")
-            if self._files and (trouble := self._files.take_place()):
-                self._progress.say(f"warning: {trouble}")
-        else:
-            self._distance_m += math.dist(self._last.position, belief.position)
-        self._last = belief
-        self._progress.show(belief, self._distance_m)
+        if script.about:
+            self._say(printable(script.about))
+        where = "" if script.world == AS_MODELLED else f"world {script.world}, "
+        self._say(f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}")
+        self._say(f"router at {self._endpoint}")
+        if self._files and (trouble := self._files.take_place()):
+            self._say(f"warning: {trouble}")
+
+    # ---- what follows it ----
 
     def _await_landing(self, last: Belief) -> None:
         """Wait until the vehicle has done what comes after the search. A stop sends it on its way; else it
-        is told to, each second.
+        is commanded each second.
         """
-        home, after = "returned home" in self._script.expectations, self._script.vehicle.after_stop
+        heard, expected = self._heard, self._script.expectations
+        home, after = "returned home" in expected, self._script.vehicle.after_stop
         if after == "hold":
-            if not home and "landed" not in self._script.expectations:
+            if not home and "landed" not in expected:
                 return
             after = "return" if home else "land"
         if home:
             self._bus.subscribe(MAVLINK_OUT)  # where it has landed
-        if not self._landed:
-            self._progress.say("returning home" if after == "return" else "landing")
+        if not heard.landed:
+            self._say("returning home" if after == "return" else "landing")
         word: CommandName = "return" if after == "return" else "land"
-        codec, call_at = Codec(*LAUNCHER), 0.0
-        lost_at = math.inf  # from then on the place that was not told is not waited for
-        while not self._landed or (home and math.isnan(self._landed_at[0]) and time.monotonic() < lost_at):
-            lost_at = min(lost_at, time.monotonic() + LAG_S) if self._landed else math.inf
-            state = self._compute["uav"].state if "uav" in self._compute else ""
-            if state in ("paused", "holding"):
-                self._progress.say("a pilot leads the vehicle: it is left to them")
+        codec, call_at, lost_at = Codec(*LAUNCHER), 0.0, math.inf
+        while not heard.landed or (home and heard.landed_at is None and time.monotonic() < lost_at):
+            if heard.landed:  # the place where it stands is not waited for without end
+                lost_at = min(lost_at, time.monotonic() + LAG_S)
+            if heard.state in ("paused", "holding"):
+                self._say("a pilot leads the vehicle: it is left to them")
                 return
-            if state == "searching" and not last.ceased and time.monotonic() >= call_at:
-                component = SEARCH if self._mission.vehicle else AUTOPILOT
-                self._bus.publish(MAVLINK_IN, codec.pack(order(word, self._system, component)))
+            if heard.state == "searching" and not last.ceased and time.monotonic() >= call_at:
+                component = SEARCH if self._mission.real else AUTOPILOT
+                self._bus.publish(MAVLINK_IN, codec.pack(order(word, heard.system, component)))
                 call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)
 
     def _await_record(self, step: int) -> None:
         """Wait until the record has all readings: only a running vehicle can send missing ones again."""
-        if not self._mission.record:
-            return
-        deadline = time.monotonic() + LAG_S
-        while not self._record_ended and not (
-            "recorder" in self._compute and self._compute["recorder"].step >= step
-        ):
+        health, deadline = self._heard.health, time.monotonic() + LAG_S
+        while self._mission.record and RECORDER not in self._gone:
+            if RECORDER in health and health[RECORDER].step >= step:
+                return
             if time.monotonic() >= deadline:
-                self._progress.say("warning: the record lacks the last readings: they came too late")
+                self._say("warning: the record lacks the last readings: they came too late")
                 return
             self._listen(deadline - time.monotonic())
 
-    def _await_trace(self) -> None:
-        """Wait for beliefs that were missed."""
-        deadline = time.monotonic() + LAG_S
-        while self._trace.missing and (left_s := deadline - time.monotonic()) > 0:
-            self._listen(left_s)
-
     def _flown(self, last: Belief) -> Flown:
-        script = self._script
-        points, lost = (
-            self._trace.points(),
-            f"{self._trace.missing} of {last.step + 1} beliefs were not received",
-        )
+        script, heard = self._script, self._heard
+        points, missing = heard.trace.points(), heard.trace.missing
+        lost = f"{missing} of {last.step + 1} beliefs were not received"
         if points is None:
             raise MissionFailed(f"{lost}: the trace has gaps")
-        if self._trace.missing:
-            self._progress.say(f"warning: {lost}: of these the trace has the readings")
+        if missing:
+            self._say(f"warning: {lost}: of these the trace has the readings")
         for number, event in enumerate(script.events):
             if event.step is not None and event.step > last.step:
-                self._progress.say(
-                    f"warning: events[{number}] of step {event.step} did not happen: the search ended at "
-                    f"step {last.step}"
-                )
-        search_time_s = sum(
-            self._compute[service].compute_s for service in ("estimator", "agent") if service in self._compute
-        )
+                why = f"the search ended at step {last.step}"
+                self._say(f"warning: events[{number}] of step {event.step} did not happen: {why}")
+        searchers = [heard.health[service] for service in ("estimator", "agent") if service in heard.health]
+        search_time_s = sum(health.compute_s for health in searchers)
         said = last.ceased, search_time_s, last.assume, last.stop, script.world
         result = outcome(script.seed, script.agent.policy, self._mission.truth, points, *said)
         located = bool(result.located)
-        so = {
+        came_true = {
             "ceased": result.ceased,
             "not ceased": not result.ceased,
             "located": located,
             "not located": not located,
             "false stop": result.ceased and not located,
-            "warned": self._warned,
-            "landed": self._landed,
-            "returned home": self._landed and math.hypot(*self._landed_at) < AT_HOME_M,
+            "warned": heard.warned,
+            "landed": heard.landed,
+            "returned home": heard.at_home,
         }
-        return Flown(script, result, points, {expected: so[expected] for expected in script.expectations})
+        return Flown(script, result, points, {each: came_true[each] for each in script.expectations})

@@ -10,10 +10,8 @@ from link.bus.messages import Belief
 from link.terminal import broken
 
 PLAIN_EVERY_STEPS = 10
-PLAIN_FIELDS = 4
-"""Fields of a line that is not on a terminal: 60 characters."""
-SAY_AFTER_S = 2.0
-"""How long a wait lasts before it gets a line of its own where there is no live line."""
+PLAIN_FIELDS = 4  # fields of a line that is not on a terminal: 60 characters
+SAY_AFTER_S = 2.0  # how long a wait lasts before it gets a line of its own where there is no live line
 
 
 class Progress:

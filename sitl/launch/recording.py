@@ -1,10 +1,14 @@
-"""The files of a mission's record: when they may replace older ones, and when they are deleted."""
+"""The files of a mission: its record, which may replace an older one, and the summary of its outcome."""
 
+import json
 import os
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any, TextIO
 
 from link import cli
 from link.files import is_claimed
+from plume import __version__
 
 
 class RecordFiles:
@@ -13,26 +17,23 @@ class RecordFiles:
     def __init__(self, path: Path) -> None:
         """Take the path of the .mcap."""
         self._wanted = path
-        self.path = path
-        """Where the recorder writes."""
-        self.made = False
-        """Whether the recorder has made the files."""
+        self.path = path  # where the recorder writes
+        self.made = False  # whether the recorder has made the files
 
-    def refusal(self, force: bool) -> str | None:
-        """Return why the files cannot be written, or None. With `force`, new files are first written
-        beside older ones.
+    def prepare(self, force: bool) -> None:
+        """Raise BadInput if the files cannot be written. With `force`, new files are first written beside
+        older ones.
         """
         wanted = both(self._wanted)
         if reason := cli.existing("--record", wanted, force):
-            return reason
+            raise cli.BadInput(reason)
         for path in wanted:
             if os.path.isdir(path):
-                return f"--record: {str(path)!r} is a folder; wanted a file"
+                raise cli.BadInput(f"--record: {str(path)!r} is a folder; wanted a file")
             if is_claimed(path):
-                return f"--record: another process is writing {str(path)!r}; wanted another name"
+                raise cli.BadInput(f"--record: another process is writing {str(path)!r}; wanted another name")
         if any(map(os.path.lexists, wanted)):
             self.path = self._wanted.with_name(f".{self._wanted.stem}-{os.getpid()}.mcap")
-        return None
 
     def take_place(self) -> str:
         """Replace older files, once the search has begun. Returns what went wrong, or an empty text."""
@@ -47,6 +48,11 @@ class RecordFiles:
             self.path = self._wanted
         return ""
 
+    def tell(self, to: TextIO) -> None:
+        """Say where the record is, if there is one."""
+        if self.made and self.path.exists():
+            print(f"record   {self.path}", file=to)
+
     def give_up(self, *, refused: bool) -> None:
         """Clean up after a failed mission: delete the record if it was refused, or if older files are
         still in place.
@@ -59,3 +65,20 @@ class RecordFiles:
 def both(path: Path) -> tuple[Path, Path]:
     """Return the two files of a record, given the .mcap."""
     return path, path.with_suffix(".tlog")
+
+
+def run_name(policy: str, seed: int) -> str:
+    """Return a unique name for a run's files."""
+    return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{Path(policy).stem}-seed{seed}-{os.getpid()}"
+
+
+def write_summary(path: Path, mission: Any, outcome: Any) -> None:
+    """Write how a mission was flown, its outcome and its trace to a file."""
+    summary = {
+        "flown_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "plumeward": __version__,
+        "mission": mission,
+        "outcome": outcome,
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(summary, indent=1) + "\n")

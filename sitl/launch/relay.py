@@ -1,7 +1,7 @@
 """A link that can be cut: forwards TCP, and TLS within it, between a part and the router."""
 
+import asyncio
 import contextlib
-import selectors
 import socket
 import threading
 
@@ -23,76 +23,56 @@ class Relay:
             raise ValueError(f"--listen: {router!r} is not allowed where links are cut; wanted tcp/HOST:PORT")
         self._router = (host.strip("[]"), int(port))
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.setblocking(False)
-        self.endpoint = f"{protocol}/127.0.0.1:{self._listener.getsockname()[1]}"
-        """Where the part connects to."""
-        self._peers: dict[socket.socket, socket.socket] = {}
-        self._selector = selectors.DefaultSelector()
-        self._wake, self._woken = socket.socketpair()
-        self._selector.register(self._woken, selectors.EVENT_READ)
-        self._selector.register(self._listener, selectors.EVENT_READ)
-        self._cut = self._closed = False
-        self._thread = threading.Thread(target=self._carry, name="relay", daemon=True)
+        self.endpoint = (
+            f"{protocol}/127.0.0.1:{self._listener.getsockname()[1]}"  # where the part connects to
+        )
+        self._loop = asyncio.new_event_loop()
+        self._end = self._loop.create_future()
+        self._whole = asyncio.Event()
+        self._whole.set()
+        self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
         self._thread.start()
 
     def cut(self) -> None:
         """Stop forwarding."""
-        self._cut = True
-        self._wake.send(b".")
+        self._loop.call_soon_threadsafe(self._whole.clear)
 
     def restore(self) -> None:
         """Forward again. What was sent meanwhile arrives late, if its sender still waits."""
-        self._cut = False
-        self._wake.send(b".")
+        self._loop.call_soon_threadsafe(self._whole.set)
 
     def close(self) -> None:
         """End the thread and close all connections."""
-        self._closed = True
-        self._wake.send(b".")
-        for each in tuple(self._peers):
-            with contextlib.suppress(OSError):  # it has gone
-                each.shutdown(socket.SHUT_RDWR)  # the thread may be waiting for one that takes nothing
+        self._loop.call_soon_threadsafe(self._end.cancel)
         self._thread.join()
-        for each in (*self._peers, self._listener, self._wake, self._woken):
-            each.close()
-        self._selector.close()
 
-    def _carry(self) -> None:
-        while not self._closed:
-            if self._cut:
-                self._woken.recv(CHUNK)  # sleeps
-                continue
-            for key, _ in self._selector.select():
-                if key.fileobj is self._woken:
-                    self._woken.recv(CHUNK)
-                elif key.fileobj is self._listener:
-                    self._connect()
-                elif isinstance(key.fileobj, socket.socket) and key.fileobj in self._peers:
-                    self._pass_on(key.fileobj)
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._serve())
 
-    def _connect(self) -> None:
-        part, _ = self._listener.accept()
-        try:
-            router = socket.create_connection(self._router, timeout=1.0)
-        except OSError:  # the router is not there (yet): close, as it would refuse
-            part.close()
-            return
-        for one, other in ((part, router), (router, part)):
-            one.setblocking(True)
-            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._peers[one] = other
-            self._selector.register(one, selectors.EVENT_READ)
+    async def _serve(self) -> None:
+        server = await asyncio.start_server(self._join, sock=self._listener, limit=CHUNK)
+        with contextlib.suppress(asyncio.CancelledError):
+            await self._end
+        server.close()
 
-    def _pass_on(self, source: socket.socket) -> None:
-        target = self._peers[source]
-        try:
-            if data := source.recv(CHUNK):
-                target.sendall(data)
-                return
-        except OSError:
-            pass
-        for each in (source, target):
-            self._selector.unregister(each)
-            del self._peers[each]
-            with contextlib.suppress(OSError):
-                each.close()
+    async def _join(self, part: asyncio.StreamReader, to_part: asyncio.StreamWriter) -> None:
+        """Carry one connection of the part until either side closes it."""
+        with contextlib.closing(to_part):
+            try:
+                await self._whole.wait()
+                opening = asyncio.open_connection(*self._router, limit=CHUNK)
+                router, to_router = await asyncio.wait_for(opening, timeout=1.0)
+                with contextlib.closing(to_router):
+                    await asyncio.gather(self._carry(part, to_router), self._carry(router, to_part))
+            except OSError:  # the router is not there (yet), or one of them has gone
+                pass
+            except Exception as error:  # a fault of ours: the thread must not live on in silence
+                self._end.set_exception(error)
+
+    async def _carry(self, source: asyncio.StreamReader, target: asyncio.StreamWriter) -> None:
+        while data := await source.read(CHUNK):
+            await self._whole.wait()
+            target.write(data)
+            await target.drain()
+        raise ConnectionResetError  # ends the other direction, too

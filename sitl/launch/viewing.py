@@ -2,62 +2,37 @@
 over.
 """
 
-import argparse
 import contextlib
+import math
 import signal
 import sys
-import time
 from collections.abc import Callable, Sequence
 
-from sitl.launch.processes import STOP_TIMEOUT_S, Child, MissionFailed, Processes
+from sitl.launch.child import Child, MissionFailed
+from sitl.launch.processes import PAGE, STOP_TIMEOUT_S, Processes
 
-VIEW = "view"
-UNATTENDED_S = 30.0
-"""How long the page stays at most where nobody can press Ctrl-C."""
-LOOK_S = 0.2
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `fly` that show its page."""
-    parser.add_argument(
-        "--view", action="store_true", help="show the mission on a page, which stays open until it is closed"
-    )
-    parser.add_argument("--open", action="store_true", help="the same, and open it in a browser")
-
-
-def page_of(args: argparse.Namespace) -> "MissionPage":
-    """Return the page that the flags ask for, if they do."""
-    return MissionPage(
-        wanted=args.view or args.open, opened=args.open, attended=sys.stderr.isatty() and not args.json
-    )
+UNATTENDED_S = 30.0  # how long the page stays at most where nobody can press Ctrl-C
 
 
 class MissionPage:
     """`plumeward view` beside a mission. The mission goes on without it."""
 
-    def __init__(self, *, wanted: bool, opened: bool, attended: bool) -> None:
-        """Take whether to show it at all, whether to open it in a browser, and whether people wait at a
-        terminal.
-        """
-        self._wanted = wanted
-        self._opened = opened
+    def __init__(self, *, opened: bool, attended: bool) -> None:
+        """Take whether to open it in a browser, and whether people wait at a terminal."""
+        self._words = ["--port", "0", *["--open"] * opened]
         self._attended = attended
         self._child: Child | None = None
         self._address = ""
 
     def start(self, processes: Processes, joining: Sequence[str], about_json: str) -> None:
         """Start it; `joining` are the flags that name the router, `about_json` describes the mission."""
-        if not self._wanted:
-            return
-        words = [*joining, "--port", "0", "--about", about_json, *["--open"] * self._opened]
-        self._child = processes.start(VIEW, "sitl", "view", *words)
+        self._child = processes.start(PAGE, "sitl", "view", *joining, *self._words, "--about", about_json)
 
     def await_start(self, say: Callable[[str], None]) -> None:
         """Wait until it is served, and say where."""
-        if self._child is None:
-            return
-        with contextlib.suppress(MissionFailed):  # it hangs: the mission begins without it
-            self._address = self._child.readline().strip().removeprefix("page at ")
+        if self._child:
+            with contextlib.suppress(MissionFailed):  # it hangs: the mission begins without it
+                self._address = self._child.readline().strip().removeprefix("page at ")
         if self._address:
             say(f"page at {self._address}")
 
@@ -66,22 +41,18 @@ class MissionPage:
         never served ends with them.
         """
         if self._child and self._address:
-            processes.release(VIEW)
+            processes.release(PAGE)
             self._child.signal(signal.SIGUSR1)
 
     def linger(self) -> None:
         """Wait until its browsers are closed, or none has come; Ctrl-C ends it."""
-        if self._child is None or not self._address or self._child.wait(0.0):
+        if not self._child or not self._address or self._child.wait(0.0):
             return
         until = "until it is closed" if self._attended else f"for at most {UNATTENDED_S:g} s"
         print(f"page stays open at {self._address} {until}; Ctrl-C ends it", file=sys.stderr, flush=True)
-        deadline = time.monotonic() + UNATTENDED_S
-        try:
-            with contextlib.suppress(KeyboardInterrupt):
-                while not self._child.wait(LOOK_S) and (self._attended or time.monotonic() < deadline):
-                    pass
-        finally:
-            self.end()
+        with contextlib.suppress(KeyboardInterrupt):
+            self._child.wait(math.inf if self._attended else UNATTENDED_S)
+        self.end()
 
     def end(self) -> None:
         """End it now."""

@@ -5,30 +5,25 @@ and who was heard.
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from sitl.launch.processes import START_LIMIT_S, START_WARN_S
+from sitl.launch.child import START_LIMIT_S, START_WARN_S
+from sitl.launch.processes import KINDS, ROUTER
 
+# Each part publishes its health every second: one that is silent for this long hangs, or its link is cut.
 WARN_S = 5.0
-"""Each part publishes its health every second: one that is silent for this long hangs, or its link is cut.
-"""
 PATIENCE_S = 30.0
+# How often to call `look`. A later call means that the launcher itself was held up: that time does not
+# count as silence.
 LOOK_S = 1.0
-"""How often to call `look`. A later call means that the launcher itself was held up: that time does not
-count as silence.
-"""
-ROUTER, RECORDER = "router", "recorder"
 
 
 @dataclass
 class _Watched:
     """What is known of one part."""
 
-    since_s: float
-    """When it last spoke, or was started."""
+    since_s: float  # when it last spoke, or was started
     spoken: bool = False
-    told: bool = False
-    """Whether its silence has been reported."""
-    disturbed: int = 0
-    """How many script events silence it at the moment."""
+    told: bool = False  # whether its silence has been reported
+    disturbed: int = 0  # how many script events silence it at the moment
 
 
 class Watchdog:
@@ -96,7 +91,7 @@ class Watchdog:
                 if known.spoken
                 else (START_WARN_S, max(START_LIMIT_S, self._patience_s))
             )
-            if silent_s >= limit_s and part != RECORDER:
+            if silent_s >= limit_s and not (part in KINDS and KINDS[part].spared):
                 self._hangs(part)
                 since = "" if known.spoken else " since it was started"
                 return f"the {part} has said nothing for {limit_s:g} s{since} (--patience S waits longer)"

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from aircraft.search.events import ScriptEvent
-from plume.parameters import LIMITS
+from plume.parameters import LIMITS, MOST
 from plume.scenario import AREA_M, STEP_M
 
 
@@ -20,12 +20,12 @@ Rate = Annotated[float, _limits("q")]
 Diffusivity = Annotated[float, _limits("d")]
 Lifetime = Annotated[float, _limits("tau")]
 Height = Annotated[float, _limits("z")]
-Positive = Annotated[float, Meta(gt=0)]
-Seconds = Annotated[float, Meta(ge=0)]
+Positive = Annotated[float, Meta(gt=0, le=MOST)]
+Seconds = Annotated[float, Meta(ge=0, le=MOST)]
 Coordinate = Annotated[float, Meta(ge=0, le=AREA_M)]
 Point = tuple[Coordinate, Coordinate]
+# The agent receives them in one command-line argument, which the system limits to 128 kB.
 MOST_WAYPOINTS = 1000
-"""The agent receives them in one command-line argument, which the system limits to 128 kB."""
 
 
 class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
@@ -46,10 +46,10 @@ class Lawnmower(ScriptEvent, frozen=True, tag="lawnmower"):
     low: Point = (0.0, 0.0)
     high: Point = (AREA_M, AREA_M)
     spacing_m: Annotated[
-        float, Meta(ge=0.1, description="a number from 0.1: distance between two rows, m")
+        float, Meta(ge=0.1, le=MOST, description="a number from 0.1: distance between two rows, m")
     ] = 5.0
     step_m: Annotated[
-        float, Meta(ge=0.1, description="a number from 0.1: distance between two readings, m")
+        float, Meta(ge=0.1, le=MOST, description="a number from 0.1: distance between two readings, m")
     ] = STEP_M
 
     def path(self) -> list[Point]:
@@ -77,8 +77,7 @@ class Cut(ScriptEvent, frozen=True, tag="cut"):
     for_s: Annotated[float, Meta(gt=0, le=600, description="a number above 0 up to 600: real time, s")]
 
 
-OLD_WORDS = {"pause": "hold", "abort": "return"}
-"""What older scripts call these events."""
+OLD_WORDS = {"pause": "hold", "abort": "return"}  # what older scripts call these events
 
 
 def _steps(low: float, high: float, step: float) -> Sequence[float]:

@@ -1,12 +1,9 @@
-"""Mission scripts: one YAML file defines what is flown, which faults occur, and which outcome is expected.
-
-`python -m sitl.script` prints their JSON schema for editors.
-"""
+"""Mission scripts: one YAML file defines what is flown, which faults occur, and which outcome is expected."""
 
 import math
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,6 +13,7 @@ from msgspec import Meta
 
 from aircraft.search.events import Count, OnBoard, Radians, ScriptEvent, Wind, WindSpeed
 from aircraft.search.search import AfterStop
+from link.cli import did_you_mean
 from plume import sensor
 from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
@@ -46,7 +44,6 @@ def _says(name: str, words: str, unit: str) -> Meta:
     return Meta(description=f"{words}, a number from {low:g} up to {high:.12g}, {unit}")
 
 
-MAY_BE_INFINITE = ("vehicle.endurance_s", "vehicle.silence_s")
 STREAM_S = 1.0
 """Real time after which the stream of a companion's setpoints is lost, if strict: PX4's COM_OF_LOSS_T."""
 Expectation = Literal[
@@ -263,14 +260,17 @@ def find(mission: str | Path) -> Path:
     """Return the path of a mission: a file of this name, else the shipped mission of this name. Raises
     FileError if there is neither.
     """
-    missions = shipped()
-    if not os.path.isfile(mission) and (found := missions.get(str(mission).removesuffix(".yaml"))):
-        return found
+    missions, name = shipped(), str(mission).removesuffix(".yaml")
+    if not os.path.isfile(mission) and name in missions:
+        return missions[name]
     try:
         os.stat(mission)
     except FileNotFoundError:
-        wanted = f"a mission script, or one of {', '.join(missions)}"
-        raise FileError(f"{mission}: no such file and no shipped mission; wanted {wanted}") from None
+        near = did_you_mean(name, missions)
+        wanted = (
+            f"{f'{near} Wanted' if near else '; wanted'} a mission script, or one of {', '.join(missions)}"
+        )
+        raise FileError(f"{mission}: no such file and no shipped mission{wanted}") from None
     except OSError as error:
         raise FileError(f"{mission}: {error.strerror}") from None
     return Path(mission)
@@ -286,15 +286,13 @@ def load(mission: str | Path) -> Script:
             f"{document.path}: "
             + ", ".join(f"{word!r} is an old word, read as {OLD_WORDS[word]!r}" for word in old)
         )
-    script = document.to(Script, MAY_BE_INFINITE)
-    try:
-        sensor.parse(script.sensor)
-    except ValueError as error:
-        raise document.error(["sensor"], str(error)) from None
-    try:
-        check(script.world)
-    except ValueError as error:
-        raise document.error(["world"], str(error)) from None
+    script = document.to(Script)
+    checks: dict[str, Callable[[str], object]] = {"sensor": sensor.parse, "world": check}
+    for field, parse in checks.items():
+        try:
+            parse(getattr(script, field))
+        except ValueError as error:
+            raise document.error([field], str(error)) from None
     taken: dict[int, int] = {}
     for number, event in enumerate(script.events):
         _check(document, number, event)
@@ -351,12 +349,3 @@ def _check(document: Document, number: int, event: ScriptEvent) -> None:
                 [*field, "high"],
                 f"{list(high)} is not allowed; wanted a corner north-east of low, {list(low)}",
             )
-
-
-def schema() -> dict[str, Any]:
-    """Return the JSON schema of mission scripts, for editors."""
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "Plumeward mission",
-        **msgspec.json.schema(Script),
-    }

@@ -4,7 +4,6 @@ allowed.
 
 import os
 import stat
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,20 +12,18 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from sitl.script.mistakes import Fields, dotted, find, finite, short, shown
+from link.cli import BadInput
+from sitl.script.mistakes import Fields, dotted, explained, short, shown
 
 T = TypeVar("T")
 
-MOST_BYTES = 250_000
-"""Reading a file of this size takes a few seconds; no mission needs more."""
-MOST_VALUES = 100_000
-"""With every alias expanded: nine short lines can expand to a billion values."""
-MOST_DIGITS = 1000
-"""Digits of a whole number: Python refuses to print more than 4300."""
+MOST_BYTES = 250_000  # reading a file of this size takes a few seconds; no mission needs more
+MOST_VALUES = 100_000  # with every alias expanded: nine short lines can expand to a billion values
+MOST_DIGITS = 1000  # digits of a whole number: Python refuses to print more than 4300
 TEXT, WHOLE, MERGE = (f"tag:yaml.org,2002:{name}" for name in ("str", "int", "merge"))
 
 
-class FileError(ValueError):
+class FileError(BadInput):
     """A file cannot be used; the message is one line."""
 
 
@@ -36,7 +33,6 @@ class Document:
     def __init__(self, path: Path) -> None:
         """Read the file; raises FileError if it cannot be read or is not valid YAML."""
         self.path = path
-        self._names: dict[Node, dict[str, tuple[Node, Node]]] = {}
         yaml = YAML(typ="safe", pure=True)  # YAML 1.2: `on` is a word, 1e3 a number
         text = _read(path)
         try:
@@ -47,34 +43,19 @@ class Document:
             raise
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
-            raise self._at(
-                mark.line + 1 if mark else 1, f"not valid YAML: {error.problem or error.context}"
-            ) from None
+            line = mark.line + 1 if mark else 1
+            raise self._at(line, f"not valid YAML: {error.problem or error.context}") from None
         except (YAMLError, RecursionError, ValueError) as error:
             raise FileError(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
         except LookupError:  # such as `!!bool perhaps`
             raise FileError(f"{path}: not valid YAML: a value does not match its tag") from None
 
-    def to(self, kind: type[T], infinite: Collection[str] = ()) -> T:
-        """Return the value as a struct of this kind; raises FileError. Numbers must be finite, except in
-        the fields `infinite` names.
-        """
-        made, reason = None, ""
+    def to(self, kind: type[T]) -> T:
+        """Return the value as a struct of this kind; raises FileError."""
         try:
-            made = msgspec.convert(self.value, kind)
-            if self._finite():
-                return made
+            return msgspec.convert(self.value, kind)
         except msgspec.ValidationError as error:
-            reason = str(error)
-        mistakes = find(self.value, kind, infinite)
-        if (
-            mistakes
-        ):  # the first in the file; missing fields last, because a misspelt name explains a missing field
-            first = min(mistakes, key=lambda mistake: (mistake.missing, self._line(mistake.fields)))
-            raise self.error(first.fields, first.text)
-        if made is None:
-            raise self.error([], reason)
-        return made
+            raise self.error(*explained(error, self.value, kind)) from None
 
     def error(self, fields: Fields, text: str) -> FileError:
         """Return an error with this text about a field, with its file and line."""
@@ -91,65 +72,48 @@ class Document:
             node = nodes.pop()
             count += 1
             if count > MOST_VALUES:
-                raise FileError(
-                    f"{self.path}: more than {MOST_VALUES:,} values (with aliases expanded) are not allowed"
-                )
+                most = f"more than {MOST_VALUES:,} values (with aliases expanded) are not allowed"
+                raise FileError(f"{self.path}: {most}")
             if isinstance(node, MappingNode):
                 self._check_names(node)
                 nodes += [part for pair in node.value for part in pair]
             elif isinstance(node, SequenceNode):
                 nodes += node.value
             elif node.tag == WHOLE and len(node.value) > MOST_DIGITS:
-                text = (
-                    f"a number of {len(node.value):,} digits is not allowed; wanted {MOST_DIGITS:,} at most"
-                )
-                raise self._at(node.start_mark.line + 1, text)
+                digits = f"{len(node.value):,} digits is not allowed; wanted {MOST_DIGITS:,} at most"
+                raise self._at(_line_of(node), f"a number of {digits}")
 
     def _check_names(self, node: MappingNode) -> None:
-        if node in self._names:
-            return
-        names = self._names[node] = {}
-        for name, value in node.value:
-            line = name.start_mark.line + 1
-            if name.tag not in (TEXT, MERGE):
+        lines: dict[str, int] = {}
+        for name, _ in node.value:
+            line = _line_of(name)
+            if name.tag not in (TEXT, MERGE) or "`" in name.value:  # msgspec quotes names with backticks
                 found = shown(name.value) if isinstance(name, ScalarNode) else "a list or an object"
                 raise self._at(line, f"{found} is not allowed as a field name; wanted text")
-            if name.value in names:
-                first = names[name.value][0].start_mark.line + 1
-                raise self._at(
-                    line, f'found duplicate key "{shown(name.value)}"; the first one is in line {first}'
-                )
-            names[name.value] = name, value
-
-    def _finite(self) -> bool:
-        values = [self.value]
-        while values:
-            value = values.pop()
-            if isinstance(value, dict):
-                values += value.values()
-            elif isinstance(value, list):
-                values += value
-            elif isinstance(value, int | float) and not finite(value):
-                return False
-        return True
+            if name.value in lines:
+                first = f"the first one is in line {lines[name.value]}"
+                raise self._at(line, f'found duplicate key "{shown(name.value)}"; {first}')
+            lines[name.value] = line
 
     def _line(self, fields: Fields) -> int:
-        """Return the line of a field; if it is missing, the line of the innermost object or list around
-        it.
-        """
-        node, line = self._root, 1
-        if node is not None:
-            line = node.start_mark.line + 1
+        """Return the line of a field, or where there is none, of the innermost object or list around it."""
+        node, line = self._root, _line_of(self._root) if self._root else 1
         for field in fields:
-            if isinstance(node, MappingNode) and field in (names := self._names[node]):
-                key, node = names[str(field)]
-                line = key.start_mark.line + 1
-            elif isinstance(node, SequenceNode) and isinstance(field, int) and field < len(node.value):
-                node = node.value[field]
-                line = node.start_mark.line + 1
-            else:
+            pairs: list[tuple[Node, Node]] = []
+            if isinstance(node, MappingNode):
+                pairs = [pair for pair in node.value if pair[0].value == field]
+            elif isinstance(node, SequenceNode) and isinstance(field, int):
+                pairs = [(item, item) for item in node.value[field : field + 1]]
+            if not pairs:
                 break
+            name, node = pairs[0]
+            line = _line_of(name)
         return line
+
+
+def _line_of(node: Node) -> int:
+    line: int = node.start_mark.line
+    return line + 1
 
 
 def _read(path: Path) -> str:

@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from aircraft.bridge.address import parse_out
-from aircraft.remote.real import real_vehicle
+from aircraft.remote.real import add_vehicle_url, real_vehicle
 from aircraft.remote.winds import parse_wind
 from aircraft.search.clock import Clock
 from aircraft.search.events import OnBoard
@@ -19,24 +19,26 @@ from link.bus.session import Bus
 from link.bus.tally import Tally
 from link.signing.signer import Signing
 from sitl.autopilot.vehicle import Vehicle
-from sitl.script.real import real_script
-from sitl.script.script import Script
-from sitl.uav.options import at_own_home
+from sitl.script.options import script_of
+from sitl.script.vehicle import script_for_vehicle
+from sitl.uav.options import add_vehicle_arguments, at_own_home
 from sitl.uav.simulated import simulated_uav
 
 if TYPE_CHECKING:
     from aircraft.remote.vehicle import RemoteVehicle
 
 
-def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> int:
-    """Fly until interrupted. given: the arguments on the command line; script: the mission, with the flags
-    put in.
-    """
-    try:
-        script = real_script(script, given)
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+    cli.add_bus_arguments(parser)
+    parser.set_defaults(connect=None, namespace=None)
+    add_vehicle_arguments(parser, speedup=1.0)
+    add_vehicle_url(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly until interrupted. Raises BadInput."""
+    script = script_for_vehicle(script_of(args), args)
     config = at_own_home(script.vehicle_config(args.sysid or args.instance + 1), args.instance)
     outs = [parse_out(url, args.instance) for url in args.out]
     release = script.release()

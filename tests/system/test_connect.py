@@ -35,8 +35,8 @@ def test_it_is_the_mission_that_a_launcher_of_all_parts_flies_to_the_last_bit(
     assert whole.ended() == 0
     script = load(tmp_path / mission).changed({"agent.policy": "homing"})
     for service, words in (
-        ("estimator", estimator_arguments(Launch(script))),
-        ("agent", agent_arguments(Launch(script))),
+        ("estimator", estimator_arguments(Launch(script=script))),
+        ("agent", agent_arguments(Launch(script=script))),
     ):
         start(service, "--connect", router, *words)
     joined = start("sitl", "fly", mission, "--connect", router, "--json", "--trace", cwd=tmp_path)

@@ -25,7 +25,7 @@ def test_a_mission_over_two_sites_outlasts_a_cut_between_them_and_is_the_same(
     radio = Relay(field.out[0].strip())
     office = start("sitl", "router", "--listen", "tcp/127.0.0.1:0", "--connect", radio.endpoint)
     wait_until(lambda: office.out)
-    mission = Launch(Script().changed({"seed": SEED}))
+    mission = Launch(script=Script().changed({"seed": SEED}))
     for service, words in (("estimator", estimator_arguments(mission)), ("agent", agent_arguments(mission))):
         start(service, "--connect", office.out[0].strip(), *words)
     words = "--connect", field.out[0].strip(), "--seed", str(SEED), "--speedup", "20", "--json", "--trace"

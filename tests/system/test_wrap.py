@@ -14,7 +14,8 @@ from link.bus.mavlink import unpack_reading
 from link.record.reader import read
 from scene.follow.history import History
 from scene.scene import Backdrop
-from sitl.launch.processes import Child, Processes
+from sitl.launch.child import Child
+from sitl.launch.processes import Processes
 from tests.system.live import run_agent, run_sitl
 
 pytestmark = pytest.mark.slow

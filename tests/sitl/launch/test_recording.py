@@ -2,10 +2,12 @@
 that begins.
 """
 
+import re
 from pathlib import Path
 
 import pytest
 
+from link.cli import BadInput
 from link.record.reader import read
 from link.record.writer import Writer
 from sitl.launch.recording import RecordFiles
@@ -22,7 +24,7 @@ def old(tmp_path: Path) -> Path:
 def made(path: Path) -> RecordFiles:
     """Files written by a recorder with --force."""
     files = RecordFiles(path)
-    assert files.refusal(force=True) is None
+    files.prepare(force=True)
     for each in (files.path, files.path.with_suffix(".tlog")):
         assert not each.exists()
         each.write_text("new")
@@ -37,27 +39,24 @@ def content(folder: Path) -> dict[str, str]:
 @pytest.mark.parametrize("there", ["good.mcap", "good.tlog"])
 def test_either_file_that_exists_is_refused_by_its_name(tmp_path: Path, there: str) -> None:
     (tmp_path / there).write_text("old")
-    refusal = RecordFiles(tmp_path / "good.mcap").refusal(force=False)
-    assert refusal == f"--record: {str(tmp_path / there)!r} exists; wanted another name, or --force"
+    refusal = f"^--record: {re.escape(repr(str(tmp_path / there)))} exists; wanted another name, or --force$"
+    with pytest.raises(BadInput, match=refusal):
+        RecordFiles(tmp_path / "good.mcap").prepare(force=False)
 
 
 def test_a_folder_is_refused_whatever_is_forced(tmp_path: Path) -> None:
     (tmp_path / "good.tlog").mkdir()
-    assert (
-        RecordFiles(tmp_path / "good.mcap").refusal(force=True)
-        == f"--record: {str(tmp_path / 'good.tlog')!r} is a folder; wanted a file"
-    )
+    with pytest.raises(BadInput, match=r"^--record: '.*good.tlog' is a folder; wanted a file$"):
+        RecordFiles(tmp_path / "good.mcap").prepare(force=True)
 
 
 def test_a_record_that_is_being_written_is_refused_whatever_is_forced(tmp_path: Path) -> None:
     path = tmp_path / "good.mcap"
     writer = Writer(path, {})
-    assert (
-        RecordFiles(path).refusal(force=True)
-        == f"--record: another process is writing {str(path)!r}; wanted another name"
-    )
+    with pytest.raises(BadInput, match=r"^--record: another process is writing '.*'; wanted another name$"):
+        RecordFiles(path).prepare(force=True)
     writer.close()
-    assert RecordFiles(path).refusal(force=True) is None
+    RecordFiles(path).prepare(force=True)
 
 
 def test_of_two_missions_that_are_forced_on_one_name_both_records_stay_whole(old: Path) -> None:
@@ -87,7 +86,7 @@ def test_of_a_mission_that_never_began_the_older_files_stay(old: Path, refused: 
 
 def test_files_that_no_recorder_of_ours_has_made_are_not_removed(tmp_path: Path) -> None:
     files = RecordFiles(tmp_path / "good.mcap")
-    assert files.refusal(force=False) is None
+    files.prepare(force=False)
     (tmp_path / "good.mcap").write_text("another launch's")
     files.give_up(refused=True)
     assert content(tmp_path) == {"good.mcap": "another launch's"}

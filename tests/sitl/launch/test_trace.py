@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from link.bus.mavlink import Codec, Reading, pack_reading, unpack_reading
 from link.bus.messages import Belief
 from plume.outcome import TracePoint
-from sitl.launch.trace import HeardTrace
+from sitl.launch.heard import HeardTrace
 
 VEHICLE = Codec(1, 1)
 

@@ -14,10 +14,10 @@ from link.bus.mavlink import Codec, unpack
 from link.bus.messages import Health, Stop
 from link.bus.session import Arrival
 from sitl.launch import launcher as module
+from sitl.launch.child import MissionFailed
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.launcher import MissionWatch
-from sitl.launch.mission import Launch
-from sitl.launch.processes import MissionFailed
+from sitl.launch.mission import Launch, RealVehicle
 from sitl.launch.watchdog import Watchdog
 from sitl.script.events import Kill
 from sitl.script.script import Script
@@ -61,7 +61,7 @@ def watch(
     watchdog = Watchdog([], PATIENCE_S, 0.0, progress.say)
     disturbances = Disturbances(events, processes, {}, watchdog, progress.say)
     held = Script(seed=7).changed({"agent.budget": 1, "vehicle.after_stop": "hold"})
-    mission = mission or Launch(held, patience_s=PATIENCE_S)
+    mission = mission or Launch(script=held, patience_s=PATIENCE_S)
     return MissionWatch(mission, bus, progress, watchdog, disturbances, "tcp/127.0.0.1:1", None)
 
 
@@ -105,7 +105,7 @@ def test_a_real_vehicle_has_returned_home_where_home_is_and_not_its_estimators_o
     place = mavlink.MAVLink_local_position_ned_message(1000, 30.0, 0.2, 3.7, 0.0, 0.0, 0.0)
     landed = Health("uav", "landed", step=1, compute_s=0.0, uptime_s=9.0, refused={}, system=32)
     script = Script(seed=7, expect="returned home").changed({"agent.budget": 1})
-    mission = Launch(script, patience_s=PATIENCE_S, vehicle="tcp:127.0.0.1:5760")
+    mission = Launch(script=script, patience_s=PATIENCE_S, real=RealVehicle(url="tcp:127.0.0.1:5760"))
     for said, home_again in (
         (copter.pack(beat, origin, home, state, place), True),
         (Codec(33, 1).pack(beat, state, place), False),
@@ -134,7 +134,8 @@ def test_a_vehicle_whose_budget_is_spent_is_sent_home_by_its_own_id_and_a_real_o
             *(Arrival(BELIEF, msgspec.json.encode(belief(step)), b"") for step in (0, 1)),
         )
         bus.land_at_s, bus.landed = 50.0, Arrival(HEALTH, landed, b"", name="uav")
-        watch(bus, monkeypatch, Launch(script, patience_s=PATIENCE_S, vehicle=url)).until_the_end()
+        real = RealVehicle(url=url) if url else None
+        watch(bus, monkeypatch, Launch(script=script, patience_s=PATIENCE_S, real=real)).until_the_end()
         orders = {
             (it.target_system, it.target_component, it.command)
             for _, payload, _ in bus.published
@@ -164,7 +165,8 @@ def test_the_times_of_a_script_count_from_the_start_however_long_a_real_autopilo
     def kill(part: str) -> None:
         raise MissionFailed(f"{part} killed")
 
-    mission, event = Launch(Script(seed=7), vehicle="tcp:127.0.0.1:5760"), Kill(part="agent", time_s=30.0)
+    mission = Launch(script=Script(seed=7), real=RealVehicle(url="tcp:127.0.0.1:5760"))
+    event = Kill(part="agent", time_s=30.0)
     with pytest.raises(MissionFailed, match="agent killed"):
         watch(bus, monkeypatch, mission, [event], SimpleNamespace(kill=kill)).until_the_end()
     assert 3.0 <= bus.now_s <= 3.0 + 2.0

@@ -1,0 +1,184 @@
+"""What a launcher hears of a mission: its parts, its search and where the vehicle lands."""
+
+import contextlib
+import math
+from bisect import bisect_left, bisect_right
+
+from aircraft.operator import AUTOPILOT
+from link.bus.frames import Frame
+from link.bus.keys import BELIEF, HEALTH, MAVLINK_OUT, READING, STOP
+from link.bus.mavlink import BadFrame, nearest, unpack_reading
+from link.bus.messages import Belief, Health, Stop
+from link.bus.session import Arrival, Bus
+from plume.outcome import TracePoint
+from scene.follow.area import PLACING, AreaFrame
+from scene.follow.telemetry import LOCAL, frames
+
+AT_HOME_M, ON_GROUND_M = 0.5, 0.1
+MOST_READINGS = 100_000  # readings that wait for their beliefs; a stranger could publish without end
+
+
+class MissionHeard:
+    """What has been heard of a mission so far."""
+
+    def __init__(self, bus: Bus, system: int | None) -> None:
+        """Take the bus that decodes, and the vehicle's MAVLink system id if it is known beforehand."""
+        self._bus = bus
+        self._system = system or 0
+        self._area = AreaFrame()
+        self.trace = HeardTrace()
+        self.health: dict[str, Health] = {}  # the newest health of each service
+        self.last: Belief | None = None  # the belief of the greatest step
+        self.distance_m = 0.0  # how far the vehicle has flown from the first belief to the last
+        self.stopped = False  # whether the estimator has declared a stop
+        self.warned = False  # whether the estimator has ever warned
+        self.landed_since_s = math.inf  # when the vehicle was first heard to have landed
+        # (north, east) m of home, where the vehicle stands; followed once MAVLINK_OUT is
+        # subscribed.
+        self.landed_at: tuple[float, float] | None = None
+
+    def take(self, arrival: Arrival, now_s: float) -> Belief | Health | None:
+        """Take a message; returns the health that it is, or the belief that goes beyond the last one."""
+        if arrival.key is STOP:
+            self.stopped = self.stopped or self._bus.decode(arrival, Stop) is not None
+        elif arrival.key is READING:
+            self.trace.reading(arrival.payload, self.system or None)
+        elif arrival.key is MAVLINK_OUT:
+            self._follow_down(arrival.payload)
+        elif arrival.key is HEALTH:
+            return self._health(self._bus.decode(arrival, Health), now_s)
+        elif arrival.key is BELIEF:
+            return self._belief(self._bus.decode(arrival, Belief))
+        return None
+
+    @property
+    def system(self) -> int:
+        """The vehicle's MAVLink system id by its health: a real autopilot has its own. 0: not known."""
+        uav = self.health.get("uav")
+        return (uav.system if uav else 0) or self._system
+
+    @property
+    def state(self) -> str:
+        """What the vehicle is doing; empty before its first health."""
+        return self.health["uav"].state if "uav" in self.health else ""
+
+    @property
+    def landed(self) -> bool:
+        """Whether the vehicle has landed since it began."""
+        return self.landed_since_s < math.inf
+
+    @property
+    def at_home(self) -> bool:
+        """Whether the vehicle has landed at home."""
+        return self.landed and self.landed_at is not None and math.hypot(*self.landed_at) < AT_HOME_M
+
+    def _health(self, health: Health | None, now_s: float) -> Health | None:
+        if health:
+            self.health[health.service] = health
+            self.warned = self.warned or (health.service == "estimator" and bool(health.warnings))
+            if self.state == "landed":
+                self.landed_since_s = min(self.landed_since_s, now_s)
+        return health
+
+    def _belief(self, belief: Belief | None) -> Belief | None:
+        if not belief or not self.trace.belief(belief):
+            return None
+        if self.last:
+            if belief.step < self.last.step:
+                return None  # it was missed, and comes late
+            self.distance_m += math.dist(self.last.position, belief.position)
+        self.last = belief
+        return belief
+
+    def _follow_down(self, payload: bytes) -> None:
+        """Note where the vehicle stands, m from home."""
+        with contextlib.suppress(BadFrame):
+            for frame, fields in frames(payload, {*PLACING, LOCAL}, self._is_vehicle):
+                if frame.message_id in PLACING:
+                    self._area.take(frame.message_id, fields)
+                elif (place := self._area.place(fields)) and (self._area.on_ground or place[2] < ON_GROUND_M):
+                    self.landed_at = place[:2]
+
+    def _is_vehicle(self, frame: Frame) -> bool:
+        return frame.system == self.system and frame.component == AUTOPILOT
+
+
+class HeardTrace:
+    """Beliefs by step, and the readings since the last of them before which none is missing.
+
+    Beliefs are dropped where a link cannot carry them; readings never are.
+    """
+
+    def __init__(self) -> None:
+        """Begin with nothing heard."""
+        self._points: dict[int, TracePoint] = {}
+        self._times: dict[int, float] = {-1: -math.inf}
+        # The time of the newest belief, ms, which goes on where time_boot_ms wraps; before any,
+        # that of the first reading.
+        self._near_ms: int | None = None
+        # The readings whose beliefs are not all known, by time.
+        self.kept: dict[int, tuple[tuple[float, float], float]] = {}
+        self._whole_to = -1
+
+    def reading(self, payload: bytes, system: int | None) -> None:
+        """Take a reading of a system, or with None of any; one that cannot be read is left to the
+        estimator, which refuses it.
+        """
+        try:
+            said = unpack_reading(payload, system)
+        except BadFrame:
+            return
+        time_ms = self._time_ms(said.time_boot_ms)
+        if time_ms > self._times[self._whole_to] and len(self.kept) < MOST_READINGS:
+            self.kept.setdefault(time_ms, (said.position, said.gas))
+
+    def _time_ms(self, time_boot_ms: int) -> int:
+        if self._near_ms is None:
+            self._near_ms = time_boot_ms
+        return nearest(self._near_ms, time_boot_ms)
+
+    def belief(self, belief: Belief) -> bool:
+        """Take a belief; returns whether it is a new one."""
+        if belief.step in self._points:
+            return False
+        self._points[belief.step] = TracePoint(belief.position, belief.gas, belief.mean, belief.spread)
+        self._times[belief.step] = self._near_ms = self._time_ms(belief.time_boot_ms)
+        if belief.step == self._whole_to + 1:
+            while self._whole_to + 1 in self._points:
+                self._whole_to += 1
+            now = self._times[self._whole_to]
+            self.kept = {time: said for time, said in self.kept.items() if time > now}
+        return True
+
+    def time_s(self, step: int) -> float:
+        """Return the simulation time of a belief that has come, s."""
+        return self._times[step] / 1000
+
+    @property
+    def missing(self) -> int:
+        """How many beliefs before the last one have not come."""
+        return max(self._points, default=-1) + 1 - len(self._points)
+
+    def points(self) -> list[TracePoint] | None:
+        """Return the trace; None if it cannot be told.
+
+        Of a belief that has not come the position and gas are those of its reading, mean and spread are
+        NaN.
+        The readings between two beliefs tell of those between if they are as many: the estimator may have
+        refused some.
+        """
+        trace: list[TracePoint] = []
+        times = sorted(self.kept)
+        for step in sorted(self._points):
+            if lost := step - len(trace):
+                between = times[
+                    bisect_right(times, self._times[len(trace) - 1]) : bisect_left(times, self._times[step])
+                ]
+                if len(between) != lost:
+                    return None
+                trace += [
+                    TracePoint(*self.kept[time], mean=(math.nan, math.nan), spread=math.nan)
+                    for time in between
+                ]
+            trace.append(self._points[step])
+        return trace
