@@ -181,7 +181,7 @@ class Drawing:
         with room for `steps`.
         """
         self._backdrop = scene.backdrop
-        self._steps, self._least_gas, self._most_gas = max(steps, 1), -0.5, 10.0
+        self._room = [float(max(steps, 1)), 0.5, 10.0]  # of the charts: steps, gas below 0, gas
         self._still: Any = None  # the picture without what changes; None while it is not up to date
         self._named: list[str] | None = None
         with matplotlib.rc_context(STYLE):
@@ -265,23 +265,20 @@ class Drawing:
         self._lay_limits()
 
     def _lay_limits(self) -> None:
+        steps, below, above = self._room
         for chart in (self.spread, self.gas):
-            chart.set_xlim(-0.02 * self._steps, 1.02 * self._steps)
-        self.gas.set_ylim(1.2 * self._least_gas, 1.6 * self._most_gas)
+            chart.set_xlim(-0.02 * steps, 1.02 * steps)
+        self.gas.set_ylim(-1.2 * below, 1.6 * above)
         self._still = None
 
     def _make_room(self, scene: Scene) -> None:
         """Widen the charts if a scene has more steps or more gas than fits."""
         gas = [it.gas for it in scene.measurements if math.isfinite(it.gas)]
-        step, least, most = (
-            max((it.step for it in scene.measurements), default=0),
-            min(gas, default=0.0),
-            max(gas, default=0.0),
-        )
-        if step > self._steps or least < self._least_gas or most > self._most_gas:
-            self._steps = self._steps if step <= self._steps else max(step, 2 * self._steps)
-            self._least_gas = self._least_gas if least >= self._least_gas else 2 * least
-            self._most_gas = self._most_gas if most <= self._most_gas else 2 * most
+        steps = max((it.step for it in scene.measurements), default=0)
+        needed = steps, -min(gas, default=0.0), max(gas, default=0.0)
+        room = [had if need <= had else 2.0 * need for had, need in zip(self._room, needed, strict=True)]
+        if room != self._room:
+            self._room = room
             self._lay_limits()
 
     def _lay_legend(self, beliefs: Sequence[str], vehicle: bool) -> None:

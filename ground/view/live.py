@@ -106,7 +106,6 @@ class LiveVehicle:
         self._clock = SimulationClock()
         self._frozen_s: float | None = None
         self._lock = threading.Lock()
-        self._building = threading.Lock()
         self._built: tuple[int, Built] | None = None
         self._judge_at = 0.0
         self._alive: dict[str, bool] = {}
@@ -131,12 +130,11 @@ class LiveVehicle:
         """Return the newest scene, which of its missions it is of, and when the newest message in it was
         published, ms since 1970.
         """
-        with self._building:
+        with self._lock:
             if self._built is None or self._built[0] != self.version:
-                with self._lock:
-                    history, version = self.history, self.version
-                    scene = history.at(wall_s=self._frozen_s or time.time())
-                    self._built = version, (scene, history.missions, 1000 * history.wall_s or None)
+                history = self.history
+                scene = history.at(wall_s=self._frozen_s or time.time())
+                self._built = self.version, (scene, history.missions, 1000 * history.wall_s or None)
             return self._built[1]
 
     @property
