@@ -1,6 +1,4 @@
-"""The first thing that a command loads: until it is under way, a signal ends it at once and without a
-word.
-"""
+"""The first thing that a command loads: until it is under way, a signal ends it at once, silently."""
 
 import _signal as signal  # type: ignore[import-not-found]  # `signal` loads more: until it has, a signal would print a traceback
 import contextlib
@@ -13,11 +11,20 @@ INTERRUPTED = 130  # exit status of a command that was interrupted
 STACKS = signal.SIGUSR1
 
 
+def ends() -> list[int]:
+    """Return the signals that end this process.
+
+    SIGHUP, which says that its terminal is closed, is not one if `nohup` has it ignored.
+    """
+    # A shell starts background jobs with SIGINT ignored; a service must end on it all the same.
+    hangup = [] if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN else [signal.SIGHUP]
+    return [signal.SIGINT, signal.SIGTERM, *hangup]
+
+
 def end_at_once() -> None:
     """Let a signal end this process: while it only loads modules, and when it has nothing left to do."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, lambda *_: os._exit(INTERRUPTED))
+    for number in ends():
+        signal.signal(number, lambda *_: os._exit(INTERRUPTED))
 
 
 def tell_stacks() -> None:

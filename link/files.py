@@ -11,8 +11,9 @@ from typing import IO
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Yield a file beside `path` to write to. It replaces `path` when the block ends, and is removed if
-    the block fails.
+    """Yield a file beside `path` to write to.
+
+    It replaces `path` when the block ends, and is removed if the block fails.
 
     A pipe or a device, such as /dev/stdout, is written to directly.
     """

@@ -1,6 +1,4 @@
-"""Ctrl-C, SIGTERM, SIGHUP and the death of a thread: each ends a command that is under way, at any moment
-and at the first one.
-"""
+"""Ctrl-C, SIGTERM, SIGHUP and the death of a thread: the first one ends a command, at any moment."""
 
 import contextlib
 import os
@@ -13,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NoReturn
 
-from link.early import INTERRUPTED, tell_stacks
+from link.early import INTERRUPTED, ends, tell_stacks
 
 STREAMS = (1, 2)  # file descriptors of stdout and stderr
 # The environment variable with the launcher's process id: its parts end with it, however it ends.
@@ -28,22 +26,6 @@ NUMBA = f"{os.sep}numba{os.sep}"
 _lost: queue.SimpleQueue[int] = queue.SimpleQueue()
 _unanswered_since: float | None = None
 _lost_thread = False
-
-
-def ends() -> list[signal.Signals]:
-    """Return the signals that end this process. SIGHUP, which says that its terminal is closed, is not one
-    if `nohup` has it ignored.
-    """
-    # A shell starts background jobs with SIGINT ignored; a service must end on it all the same.
-    return [
-        number
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        if number != signal.SIGHUP or not _ignored(number)
-    ]
-
-
-def _ignored(number: int) -> bool:
-    return signal.getsignal(number) == signal.SIG_IGN
 
 
 def on_end(handler: Callable[[int], object]) -> dict[int, Any]:
@@ -64,8 +46,9 @@ def let_go_of_the_terminal() -> None:
 
 
 def polled(stream: int) -> int:
-    """Return what `poll` says of a file descriptor: POLLHUP for a closed terminal, POLLERR for a pipe
-    whose reader has gone.
+    """Return what `poll` says of a file descriptor.
+
+    POLLHUP means a closed terminal, POLLERR a pipe whose reader has gone.
     """
     poll = select.poll()
     poll.register(stream, 0)
@@ -106,8 +89,9 @@ def interrupt() -> None:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[list[int]]:
-    """Hold the signals back: the end of the block raises KeyboardInterrupt instead. Yields the signals
-    that have come.
+    """Hold the signals back: the end of the block raises KeyboardInterrupt instead.
+
+    Yields the signals that have come.
     """
     held: list[int] = []
     before = on_end(held.append)
@@ -121,8 +105,10 @@ def uninterrupted() -> Iterator[list[int]]:
 
 
 def leave() -> NoReturn:
-    """Exit at once. An interrupt may strike while a session opens or closes; its threads would then keep
-    the process for ever.
+    """Exit at once.
+
+    An interrupt may strike while a session opens or closes; its threads would then keep the process for
+    ever.
     """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it, or it is closed
@@ -154,8 +140,9 @@ def _interrupt(number: int) -> None:
 
 
 def _would_be_lost() -> bool:
-    """Whether the main thread, which calls this in a handler, loads a module or compiles one of its
-    functions.
+    """Whether the main thread is loading a module or compiling one of its functions.
+
+    The main thread calls this, in a handler.
     """
     frame = sys._getframe()
     while frame := frame.f_back:  # type: ignore[assignment]
@@ -179,8 +166,9 @@ def _uncaught(kind: type[BaseException], error: BaseException, trace: Any) -> No
 
 
 def _end_without_thread(died: threading.ExceptHookArgs) -> None:
-    """Say in one line which thread has died and why, and end this process: others would wait for that
-    thread for ever.
+    """Say in one line which thread has died and why, and end this process.
+
+    Others would wait for that thread for ever.
 
     It ends as by SIGTERM, so that a real vehicle is sent home and a record gets its end.
     """

@@ -2,8 +2,8 @@
 
 from enum import Enum
 
+# HEARTBEAT's autopilot (MAV_AUTOPILOT).
 ARDUPILOT, PX4 = 3, 12
-"""HEARTBEAT's autopilot (MAV_AUTOPILOT)."""
 
 
 def px4_mode(main: int, sub: int = 0) -> int:
@@ -32,6 +32,7 @@ class Mode(Enum):
         return {Mode.RETURN: 5, Mode.MISSION: 6, Mode.LAND: 7, Mode.TAKEOFF: 8}.get(self, 0)
 
 
+# By autopilot and custom_mode.
 NAMES = {
     ARDUPILOT: {
         0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE",
@@ -45,13 +46,12 @@ NAMES = {
         px4_mode(8): "RATTITUDE",
     },
 }  # fmt: skip
-"""By autopilot and custom_mode."""
+# The mode of the search that a mode is, by autopilot and custom_mode; only pilots fly the others.
 MEANINGS = {
     ARDUPILOT: {4: "OFFBOARD", 17: "HOLD", 6: "RETURN", 21: "RETURN", 27: "RETURN", 9: "LAND"},
     PX4: {mode.custom_mode: mode.name for mode in Mode if mode is not Mode.MISSION}
     | {px4_mode(4, 9): "LAND"},
 }
-"""The mode of the search that a mode is, by autopilot and custom_mode; only pilots fly the others."""
 
 
 def mode_name(autopilot: int, custom_mode: int) -> str:

@@ -1,5 +1,6 @@
-"""Text for people: tables that fit the terminal and lines broken at its width. A file or a pipe gets all
-of it.
+"""Text for people: tables that fit the terminal and lines broken at its width.
+
+A file or a pipe gets all of it.
 """
 
 import sys
@@ -47,8 +48,9 @@ def width_of(stream: TextIO) -> int | None:
 
 
 def fitted(columns: Sequence[Column], width: int | None) -> tuple[list[Column], list[str]]:
-    """Return the columns that fit a width, and the names of those left out. Cells are stacked, then cut,
-    before a column goes.
+    """Return the columns that fit a width, and the names of those left out.
+
+    Cells are stacked, then cut, before a column goes.
     """
     if width is None or _total(columns) <= width:
         return list(columns), []
@@ -98,8 +100,9 @@ def table(
     above: Sequence[str] = (),
     below: Sequence[str] = (),
 ) -> "Group":
-    """Return a table for rich, with lines above and below it. The last line names what is left out and
-    says how to see it.
+    """Return a table for rich, with lines above and below it.
+
+    The last line names what is left out and says how to see it.
     """
     from rich.console import Group
     from rich.table import Table
@@ -137,8 +140,9 @@ def printable(text: str) -> str:
 
 
 def broken(text: str, width: int | None) -> str:
-    """Break each line of a text at spaces to fit a width; continuation lines are indented. All of it is
-    made printable.
+    """Break each line of a text at spaces to fit a width; continuation lines are indented.
+
+    All of it is made printable.
     """
     lines = [printable(line) for line in text.split("\n")]
     if width is None:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from agent import bundle, graphs
 from aircraft.bridge import links, tcp
-from ground.view import access, live, server, serving
-from link.access import crowds
+from ground.view import access, server, serving
+from link.access import crowds, roles
 from link.bus import inbox, opening
 from link.bus.keys import BELIEF, KEYS, READING
 from link.record import reader
@@ -51,7 +51,7 @@ def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
         "commands of a page": f"{server.MOST_COMMANDS} within {server.COMMANDS_S:g} s; return and land "
         "without limit",
         "unread answers to a page's commands": f"{server.MOST_ANSWERS}",
-        "vehicles on a page": f"{live.MOST_VEHICLES}",
+        "vehicles on a page": f"{roles.MOST_VEHICLES}",
         "peers of a MAVLink endpoint that listens": f"{links.MOST_PEERS}",
         "what waits for a TCP connection of a bridge": f"{tcp.MOST_BYTES // 1024} KiB",
         "signed MAVLink streams": f"{timestamps.MOST_STREAMS}",

@@ -17,8 +17,8 @@ from ground.view.records import RecordedFleet
 from ground.view.server import LONGEST_MESSAGE, Fleet, PageServer
 from ground.view.serving import server_of
 from link import cli
-from link.early import INTERRUPTED
-from link.interrupts import ends, let_go_of_the_terminal
+from link.early import INTERRUPTED, ends
+from link.interrupts import let_go_of_the_terminal
 
 FIRST_PAGE_S = 30.0  # how long the page of a mission that is over waits for its first browser
 RELOAD_S = 3.0  # how long it waits for a browser to come back, which may be loading it again

@@ -18,6 +18,7 @@ import zenoh
 
 from aircraft.operator import AUTOPILOT, SEARCH
 from link.access.identity import AccessError, secured
+from link.access.roles import MOST_VEHICLES
 from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT
 from link.bus.opening import NoRouter
 from link.bus.session import Arrival, Bus
@@ -42,7 +43,6 @@ GONE_AFTER_S = 0.5
 that it knows.
 """
 JUDGE_S = 1.0  # longest time between two versions of what there is to see: silent parts are judged anew
-MOST_VEHICLES = 32
 
 
 class Presence(NamedTuple):

@@ -62,8 +62,9 @@ def make(
     force: bool = False,
     now: datetime.datetime | None = None,
 ) -> list[Made]:
-    """Make the CA and all certificates that are not there yet; with `force` all but the CA anew. Returns
-    all of them.
+    """Make the CA and all certificates that are not there yet; with `force` all but the CA anew.
+
+    Returns all of them.
 
     hosts: names and addresses at which clients reach the router.  days: how long the certificates hold.
     Raises CertificateError if files are damaged or half there, OSError if they cannot be read or written.
@@ -187,8 +188,9 @@ def _issue(
     begins: datetime.datetime,
     until: datetime.datetime,
 ) -> None:
-    """Make a certificate: a router's for servers only, all others for clients only, so that none can pose as
-    the other.
+    """Make a certificate.
+
+    A router's is for servers only, all others are for clients only: none can pose as the other.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     serves = ExtendedKeyUsageOID.SERVER_AUTH if name == ROUTER else ExtendedKeyUsageOID.CLIENT_AUTH

@@ -1,5 +1,6 @@
-"""How many sessions of a router one certificate holds at once: more are closed. Zenoh itself knows only a
-limit for all.
+"""How many sessions of a router one certificate holds at once: more are closed.
+
+Zenoh itself knows only a limit for all.
 """
 
 import contextlib

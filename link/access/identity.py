@@ -1,6 +1,4 @@
-"""A service's own certificate: found, checked before it is used, and given to Zenoh; and why a router was
-not reached with it.
-"""
+"""A service's own certificate: found, checked and given to Zenoh; and why a router was not reached."""
 
 import datetime
 import socket
@@ -31,8 +29,9 @@ class Identity(NamedTuple):
     until: datetime.datetime  # when it expires, or its CA does
 
     def expiry(self) -> str:
-        """Return that it has expired, which closes its link, and what to do then. Empty if it is still
-        valid.
+        """Return that it has expired, which closes its link, and what to do then.
+
+        Empty if it is still valid.
         """
         if datetime.datetime.now(datetime.UTC) <= self.until:
             return ""
@@ -42,8 +41,9 @@ class Identity(NamedTuple):
         )
 
     def lack(self, roles: tuple[str, ...], what: str, service: str | None = None) -> str:
-        """Return which right it lacks if only these roles may do something; with a service, it must be of
-        its role too. Empty if none.
+        """Return which right it lacks to do `what`, if only these roles may; empty if none.
+
+        With a service, it must be of its role too.
         """
         if self.role in roles and (service is None or service in SERVICES[self.role]):
             return ""
@@ -53,8 +53,9 @@ class Identity(NamedTuple):
 def secured(
     flag: str, endpoint: str, folder: Path | None, service: str, namespace: str | None
 ) -> tuple[str, Identity | None]:
-    """Return the endpoint and the certificate to use for it, None without --secure; raises AccessError if
-    they do not fit.
+    """Return the endpoint and the certificate to use for it, None without --secure.
+
+    Raises AccessError if they do not fit.
     """
     if folder is None:
         if endpoint.startswith("tls/"):
@@ -94,8 +95,9 @@ def _is_a_vehicles(namespace: str | None) -> bool:
 
 
 def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
-    """Return until when a certificate is valid. Raise AccessError if it is missing, another's, of another
-    CA or not valid now.
+    """Return until when a certificate is valid.
+
+    Raise AccessError if it is missing, another's, of another CA or not valid now.
     """
     from cryptography import x509  # takes time to load, and only --secure needs it
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
@@ -178,8 +180,9 @@ def why_not(endpoint: str, known: Identity | None) -> str:
 
 
 def is_refused(endpoint: str) -> bool:
-    """Whether nobody listens at an endpoint. Where packets are lost, or who listens is slow, nobody has
-    refused yet.
+    """Whether nobody listens at an endpoint.
+
+    Where packets are lost, or who listens is slow, nobody has refused yet.
     """
     host, port = host_and_port(endpoint.partition("/")[2])
     try:

@@ -4,8 +4,9 @@ import ipaddress
 
 
 def is_open(host: str) -> bool:
-    """Whether other machines reach what listens on a host. An empty one is all interfaces; of names only
-    localhost is surely ours.
+    """Whether other machines reach what listens on a host.
+
+    An empty one is all interfaces; of names only localhost is surely ours.
     """
     try:
         address = ipaddress.ip_address(host)

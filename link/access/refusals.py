@@ -50,13 +50,15 @@ def _stdout_of_zenoh() -> int:
 
 
 class Refusals:
-    """Reads what Zenoh logs in this process. Make it before the router: Zenoh's log goes to stdout, which
-    from then on is another one.
+    """Reads what Zenoh logs in this process.
+
+    Make it before the router: Zenoh's log goes to stdout, which from then on is another one.
     """
 
     def __init__(self, reader: int | None = None) -> None:
-        """Take over stdout for Zenoh; `sys.stdout` goes where it went before. Or read a log from a file
-        descriptor that never blocks.
+        """Take over stdout for Zenoh; `sys.stdout` goes where it went before.
+
+        Or read a log from a file descriptor that never blocks.
         """
         self._reader = _stdout_of_zenoh() if reader is None else reader
         self._begun = ""
@@ -64,8 +66,9 @@ class Refusals:
         self._told_at: dict[tuple[str, str], float] = {}
 
     def news(self, now_s: float) -> list[tuple[int, str]]:
-        """Return what has happened since the last call, as levels of `logging` and lines; now_s: any
-        monotonic clock.
+        """Return what has happened since the last call, as levels of `logging` and lines.
+
+        now_s: any monotonic clock.
         """
         lines: list[tuple[int, str]] = []
         for line in self._lines():

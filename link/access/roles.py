@@ -45,8 +45,9 @@ def role_of(service: str) -> str:
 
 
 def common_name(role: str, namespace: str | None) -> str:
-    """Return the name in a role's certificate, such as uav/1/agent or operator. It is also where its files
-    are.
+    """Return the name in a role's certificate, such as uav/1/agent or operator.
+
+    It is also where its files are.
     """
     return f"{namespace}/{role}" if role in OF_A_VEHICLE else role
 
@@ -100,8 +101,9 @@ def _written(key: str, role: str) -> list[str]:
 
 
 def _within(space: str, keys: list[str]) -> list[str]:
-    """Return the keys in a namespace, and those on which their advanced publishers and subscribers speak,
-    which ** does not match.
+    """Return the keys in a namespace, with those of their advanced publishers and subscribers.
+
+    `**` does not match the latter.
     """
     return [f"{space}/{key}{more}" for key in keys for more in ("", "/@adv/**")]
 

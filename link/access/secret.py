@@ -15,8 +15,9 @@ class Secret(NamedTuple):
 
 
 def read_secret(path: str | Path, wanted: str) -> Secret:
-    """Read it; raises ValueError with what is wrong and what is `wanted`. Space around the text, a line
-    end among it, does not count.
+    """Read it; raises ValueError with what is wrong and what is `wanted`.
+
+    Space around the text, a line end among it, does not count.
     """
     try:
         mode = Path(path).stat().st_mode

@@ -67,9 +67,7 @@ class Frame(NamedTuple):
 
     @property
     def target(self) -> tuple[int, int]:
-        """The system and component that it is for: 0 is all, also where its type is unknown or has no
-        target.
-        """
+        """The system and component that it is for; 0, for all, if its type is unknown or has no target."""
         layout = layouts().get(self.message_id)
         system, component = (self._byte(at) for at in layout.target_at) if layout else (0, 0)
         return system, component if system else 0
@@ -118,8 +116,9 @@ def frame_length(data: bytes, start: int) -> int:
 
 
 def checksums(frame: Frame, seed: bytes) -> tuple[int, int]:
-    """Return a frame's checksum as received and as computed; `seed` is the extra byte (CRC_EXTRA) of its
-    message type.
+    """Return a frame's checksum as received and as computed.
+
+    seed: the extra byte (CRC_EXTRA) of its message type.
     """
     data = frame.data
     at = data[1] + (HEADER_2.size if data[0] == MAVLINK_2 else HEADER_1.size)
@@ -251,8 +250,9 @@ class FrameStream:
         self._in_step = True  # whether a frame must begin where the rest begins
 
     def take(self, data: bytes, *, datagram: bool = False) -> list[Frame]:
-        """Return the frames that are now complete; after MOST_FALSE_STARTS the rest of the delivery is
-        garbage.
+        """Return the frames that are now complete.
+
+        After MOST_FALSE_STARTS the rest of the delivery is garbage.
 
         Garbage cannot swallow a good frame that follows it, also not a frame's beginning whose end never
         comes.
@@ -296,8 +296,9 @@ class FrameStream:
         return received == right
 
     def _open(self, data: bytes) -> None:
-        """Take what came before the first frame: a console's text, and the frame in whose middle the line
-        was opened.
+        """Take what came before the first frame.
+
+        It may be a console's text, or the end of a frame during which the line was opened.
         """
         noise = len(data.translate(None, TEXT))
         excused = min(noise, self._noise_left)

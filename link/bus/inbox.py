@@ -103,8 +103,9 @@ class _Lane:
         self._bytes = 0
 
     def append(self, number: int, item: Any, size: int) -> None:
-        """Add an item and drop the oldest beyond the limits. With `newest`, replacing an older item does
-        not count as a drop.
+        """Add an item and drop the oldest beyond the limits.
+
+        With `newest`, replacing an older item does not count as a drop.
         """
         self.waiting.append((number, item, size))
         self._bytes += size

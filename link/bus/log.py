@@ -1,5 +1,6 @@
-"""Logs on stderr, one logfmt line per event; stdout is for results. They use the `logging` logger
-`plumeward` and its children.
+"""Logs on stderr, one logfmt line per event; stdout is for results.
+
+They use the `logging` logger `plumeward` and its children.
 """
 
 import json
@@ -22,9 +23,7 @@ class Log(logging.LoggerAdapter[logging.Logger]):
     """A service's logger. A warning or worse also becomes `last_error` of its tally."""
 
     def __init__(self, service: str, mission: str, tally: Tally, least: str = "info") -> None:
-        """Take the names of service and mission, the service's tally, and the lowest of LEVELS that is
-        written.
-        """
+        """Take service, mission, the service's tally, and the lowest of LEVELS that is written."""
         super().__init__(LOGGER.getChild(service))
         self._service = service
         self._mission = mission
@@ -33,8 +32,9 @@ class Log(logging.LoggerAdapter[logging.Logger]):
         self._least = logging.getLevelNamesMapping()[least.upper()]
 
     def isEnabledFor(self, level: int) -> bool:
-        """True if this level is written. Two loggers of one service in one process may have different
-        levels.
+        """True if this level is written.
+
+        Two loggers of one service in one process may have different levels.
         """
         return level >= self._least and super().isEnabledFor(level)
 
@@ -75,8 +75,9 @@ class Logfmt(logging.Formatter):
 
 
 class _Stderr(logging.Handler):
-    """Writes to the current `sys.stderr`, looked up at each record. It never waits: what nobody reads is
-    left out, and counted.
+    """Writes to the current `sys.stderr`, looked up at each record.
+
+    It never waits: what nobody reads is left out, and counted.
     """
 
     _missing = 0
@@ -129,8 +130,9 @@ if not LOGGER.handlers:
 
 
 def parse(line: str) -> tuple[str, str]:
-    """Return level and readable text of a log line. A line that is not a log event is returned unchanged,
-    as info.
+    """Return level and readable text of a log line.
+
+    A line that is not a log event is returned unchanged, as info.
     """
     if (match := LINE.fullmatch(line)) is None:
         return "info", line

@@ -61,22 +61,25 @@ class Reading(NamedTuple):
 
 
 def elapsed_ms(since: int, until: int) -> int:
-    """Return the time from one time_boot_ms to another, ms, in [-2³¹, 2³¹): negative if `until` is the
-    earlier one.
+    """Return the time from one time_boot_ms to another, ms, in [-2³¹, 2³¹).
+
+    It is negative if `until` is the earlier one.
     """
     return (until - since + WRAP_MS // 2) % WRAP_MS - WRAP_MS // 2
 
 
 def nearest(time_ms: int, time_boot_ms: int) -> int:
-    """Return the time nearest to another that time_boot_ms may stand for, ms: this goes on where
-    time_boot_ms wraps.
+    """Return the time nearest to another that time_boot_ms may stand for, ms.
+
+    It goes on where time_boot_ms wraps.
     """
     return time_ms + elapsed_ms(time_ms, time_boot_ms)
 
 
 def continued(newest_ms: int, time_boot_ms: int) -> int:
-    """Return a vehicle's own time, ms: it goes on from the newest known where time_boot_ms wraps, and
-    begins anew when the vehicle does.
+    """Return a vehicle's own time, ms.
+
+    It goes on from the newest known where time_boot_ms wraps, and begins anew when the vehicle does.
     """
     step = elapsed_ms(newest_ms, time_boot_ms)
     if abs(step) <= WRAPPED_MS and newest_ms + step >= 0:
@@ -159,8 +162,9 @@ def message_of(frame: Frame) -> Message:
 
 
 def wind_message(time_boot_ms: int, wind: tuple[float, float]) -> Message:
-    """WIND_COV (231). It carries the velocity of the air, NED; `wind` points the other way, to where the
-    wind comes from.
+    """WIND_COV (231).
+
+    It carries the velocity of the air, NED; `wind` points the other way, to where the wind comes from.
     """
     return mavlink.MAVLink_wind_cov_message(
         time_usec=time_boot_ms * 1000,
@@ -181,8 +185,9 @@ def gas_message(time_boot_ms: int, gas: float) -> Message:
 
 
 def pack_reading(codec: Codec, reading: Reading) -> bytes:
-    """Return the three frames of one sample, with the same time_boot_ms. Velocities are 0: the vehicle is
-    at rest when it samples.
+    """Return the three frames of one sample, with the same time_boot_ms.
+
+    Velocities are 0: the vehicle is at rest when it samples.
     """
     x, y = reading.position
     position = mavlink.MAVLink_local_position_ned_message(
@@ -196,8 +201,9 @@ def pack_reading(codec: Codec, reading: Reading) -> bytes:
 
 
 def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
-    """Undo `pack_reading`; raises BadFrame with the reason. If `system` is given, frames of another system
-    are refused too.
+    """Undo `pack_reading`; raises BadFrame with the reason.
+
+    If `system` is given, frames of another system are refused too.
     """
     frames = split(payload)
     if system is not None and (strangers := {frame.system for frame in frames} - {system}):
@@ -234,8 +240,9 @@ def sender(payload: bytes) -> int:
 def waypoint_message(
     system: int, answers_time_boot_ms: int, position: tuple[float, float], altitude_m: float
 ) -> Message:
-    """SET_POSITION_TARGET_LOCAL_NED (84) with the time_boot_ms of the reading that it answers; position
-    (x, y) m, x east, y north.
+    """SET_POSITION_TARGET_LOCAL_NED (84) with the time_boot_ms of the reading that it answers.
+
+    position: (x, y) m, x east, y north.
     """
     return mavlink.MAVLink_set_position_target_local_ned_message(
         time_boot_ms=answers_time_boot_ms,
@@ -258,8 +265,9 @@ def waypoint_message(
 
 
 def unpack_waypoint(payload: bytes, system: int) -> Message:
-    """Return the SET_POSITION_TARGET_LOCAL_NED of a payload; raises BadFrame if it is not one alone, or
-    not for this system.
+    """Return the SET_POSITION_TARGET_LOCAL_NED of a payload.
+
+    Raises BadFrame if it is not one alone, or not for this system.
     """
     frames = split(payload)
     if len(frames) != 1 or frames[0].message_id != mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED:
@@ -285,8 +293,9 @@ class Texts:
         self._begun: dict[int, str] = {}
 
     def joined(self, text: str, number: int, chunk: int) -> str | None:
-        """Take the text, `id` and `chunk_seq` of a STATUSTEXT; return the text once it is whole, in printable
-        characters.
+        """Take the text, `id` and `chunk_seq` of a STATUSTEXT.
+
+        Return the text once it is whole, in printable characters.
 
         The first chunk that is not full ends a text. A text that is cut off is dropped when the next one
         begins.

@@ -67,8 +67,9 @@ class NoRouter(BusError):
 
 
 def priority(how: Delivery) -> zenoh.Priority:
-    """Return the priority of a key's messages. Each has a queue of its own on each link, and higher ones
-    overtake lower ones.
+    """Return the priority of a key's messages.
+
+    Each has a queue of its own on each link, and higher ones overtake lower ones.
 
     What must not be dropped never waits behind what may be: on a slow link a full queue of telemetry would
     hold up the router, which then cuts that link (FULL_S).
@@ -155,9 +156,9 @@ def kept_of(session: zenoh.Session, key: Key) -> list[tuple[bytes, bytes | None]
 
 
 def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zenoh.Config:
-    """Return Zenoh's configuration for a mode and what each flag names, such as `connect`. Raises
-    BusError.
-    settings: others of Zenoh's.
+    """Return Zenoh's configuration for a mode and what each flag names, such as `connect`.
+
+    Raises BusError. settings: others of Zenoh's.
     """
     most_files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if 0 <= most_files < FEWEST_FILES:
@@ -186,8 +187,9 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
 
 
 def join(connect: str, within_s: float, **settings: Any) -> zenoh.Session:
-    """Join a router, with an id of Zenoh's choice; raises zenoh.ZError if none admits us in time, BusError
-    if it is not an endpoint.
+    """Join a router, with an id of Zenoh's choice.
+
+    Raises zenoh.ZError if none admits us in time, BusError if it is not an endpoint.
     """
     in_time = {"connect__timeout_ms": round(1000 * within_s), "connect__retry": RETRY}
     return zenoh.open(zenoh_config("client", {"connect": [connect]}, **in_time | settings))
@@ -214,8 +216,9 @@ def open_client(
 
 
 def low_pass_filter() -> list[dict[str, Any]]:
-    """Return Zenoh's `low_pass_filter` for a router: it drops messages that are larger than the table
-    says. A small key stays small.
+    """Return Zenoh's `low_pass_filter` for a router: it drops messages that are larger than the table says.
+
+    A small key stays small.
     """
     sizes = [
         (
@@ -241,8 +244,9 @@ def low_pass_filter() -> list[dict[str, Any]]:
 def open_router(
     endpoint: str, secure: Path | None = None, connect: str | None = None
 ) -> tuple[zenoh.Session, str]:
-    """Open a Zenoh router in this process. Returns it and its endpoint, which names the chosen port if
-    port 0 was asked for.
+    """Open a Zenoh router in this process.
+
+    Returns it and its endpoint, which names the chosen port if port 0 was asked for.
 
     secure: the folder of its certificate; it then admits per role and vehicle.  connect: another router,
     of another site; it may come later, and come back. Raises BusError if it cannot listen on `endpoint`,
@@ -294,8 +298,9 @@ def open_router(
 
 
 def at_loopback(endpoint: str) -> list[str]:
-    """Return where a router on all addresses is reached if there is none but loopback, as Zenoh then
-    reports none. Empty for port 0.
+    """Return where a router on all addresses is reached if there is no interface but loopback.
+
+    Zenoh then reports no address. Empty for port 0.
     """
     protocol, _, address = endpoint.partition("/")
     port = address.partition("#")[0].partition("?")[0].rpartition(":")[2]

@@ -1,6 +1,4 @@
-"""Message types of MAVLink that PX4 or ArduPilot sends, but that pymavlink's common dialect lacks in whole
-or in part.
-"""
+"""Message types of PX4 and ArduPilot that pymavlink's common dialect lacks in whole or in part."""
 
 import struct
 from typing import Any, NamedTuple
@@ -21,8 +19,9 @@ class Field(NamedTuple):
 
 
 def _message_type(number: int, name: str, *fields: Field) -> Any:
-    """Return the class of a message like those that pymavlink generates. Fields come in wire order: the
-    widest first, then extensions.
+    """Return the class of a message like those that pymavlink generates.
+
+    Fields come in wire order: the widest first, then extensions.
     """
 
     def init(self: Any, **values: Any) -> None:
@@ -58,9 +57,7 @@ def _message_type(number: int, name: str, *fields: Field) -> Any:
 
 
 def _crc_extra(name: str, fields: tuple[Field, ...]) -> int:
-    """The byte that stands for a message's layout in its checksum (MAVLink guide, "CRC_EXTRA
-    calculation").
-    """
+    """The byte that stands for a message's layout in its checksum (MAVLink guide, "CRC_EXTRA")."""
     described = f"{name} ".encode()
     for field in fields:
         if field.extension:

@@ -35,8 +35,9 @@ class Sequence(Generic[T]):
     def __init__(
         self, most: int, most_bytes: float = math.inf, size: Callable[[T], int] = lambda _: 0
     ) -> None:
-        """Start empty. At most `most` messages and `most_bytes` bytes (measured by `size`) may wait for
-        missing ones.
+        """Start empty.
+
+        At most `most` messages and `most_bytes` bytes (measured by `size`) may wait for missing ones.
         """
         self.dropped = 0  # messages dropped for lack of room. They count as missing and are requested again
         self._most = most
@@ -48,8 +49,9 @@ class Sequence(Generic[T]):
         self._sources: dict[str, _Source[T]] = {}
 
     def arrived(self, source: str, number: int, message: T, now_s: float) -> list[T]:
-        """Take a message; return the messages that are now next in order. A message seen before is
-        dropped.
+        """Take a message; return the messages that are now next in order.
+
+        A message seen before is dropped.
         """
         state = self._sources.pop(source) if source in self._sources else _Source()
         self._sources[source] = state
@@ -102,9 +104,7 @@ class Sequence(Generic[T]):
             state.waiting_since_s = now_s
 
     def given_up(self, now_s: float) -> tuple[int, list[T]]:
-        """Return how many messages have been missing for longer than GIVE_UP_S, and the messages that
-        waited for them, in order.
-        """
+        """Return the number of messages missing for GIVE_UP_S, and those that waited for them, in order."""
         missing, ready = 0, []
         for state in self._sources.values():
             if state.waiting and now_s - state.waiting_since_s >= GIVE_UP_S:

@@ -1,6 +1,4 @@
-"""A session on the bus: publishers and subscribers made from the table of keys, and one inbox for all
-messages that arrive.
-"""
+"""A session on the bus: publishers, subscribers, and one inbox for all messages that arrive."""
 
 import math
 import queue
@@ -76,8 +74,9 @@ class Arrival(NamedTuple):
 
 
 def most_waiting(key: Key) -> int:
-    """Return how many messages of a key may wait. Beyond that the oldest are dropped, so that the flight
-    goes on.
+    """Return how many messages of a key may wait.
+
+    Beyond that the oldest are dropped, so that the flight goes on.
     """
     return WAITING_MESSAGES + key.delivery.kept
 
@@ -166,8 +165,9 @@ class Bus:
             self._hold("token", lambda session: session.liveliness().declare_token(self._own_health()))
 
     def _hold(self, name: str, declare: Callable[[zenoh.Session], Any]) -> None:
-        """Declare something on the session, and on each that takes its place. It replaces what had this
-        name.
+        """Declare something on the session, and on each that takes its place.
+
+        It replaces what had this name.
         """
         if before := self._held.get(name):
             before.undeclare()
@@ -208,8 +208,9 @@ class Bus:
             self._publisher(key).put(payload, attachment=attachment)
 
     def subscribe(self, *keys: Key, newest: bool = False) -> None:
-        """Put the messages of these keys into the inbox, kept ones first. With `newest` only the newest
-        message of a key waits there.
+        """Put the messages of these keys into the inbox, kept ones first.
+
+        With `newest` only the newest message of a key waits there.
         """
         for key in keys:
             self._put_in_order(key)
@@ -227,8 +228,9 @@ class Bus:
             self._overflows[key.name] = Overflow(key.name)
 
     def on(self, key: Key, arrived: Callable[[Any], None], *, own: bool = True) -> None:
-        """Call `arrived` with each message of a key, kept messages first, in a thread of Zenoh's; without
-        `own`, not with ours.
+        """Call `arrived` with each message of a key, kept messages first, in a thread of Zenoh's.
+
+        Without `own`, not with ours.
         """
 
         heard: set[str] = set()
@@ -278,8 +280,7 @@ class Bus:
         ask_for_kept(self._session, name, most, lambda reply: received(reply.ok) if reply.ok else None)
 
     def settle(self, timeout_s: float) -> None:
-        """Wait, at most timeout_s, until the router has received all that was sent from here, and we have
-        received all that it sent.
+        """Wait, at most timeout_s, until all that was sent before has arrived, in both directions.
 
         What is called with a message (`on`) runs in another thread, and may be called a little later.
         """
@@ -288,8 +289,9 @@ class Bus:
             pass
 
     def watch_services(self) -> None:
-        """Put a LivelinessChange into the inbox whenever a service joins or leaves, beginning with those
-        present.
+        """Put a LivelinessChange into the inbox whenever a service joins or leaves.
+
+        It begins with those present.
         """
 
         put = self._inbox.lane("liveliness")
@@ -318,14 +320,13 @@ class Bus:
         return bool(self._session.info.routers_zid())
 
     def expiry(self) -> str:
-        """Return that our certificate has expired, and what to do; empty if it has not, or if there is
-        none.
-        """
+        """Return that our certificate has expired, and what to do; empty if there is no such trouble."""
         return self._identity.expiry() if self._identity else ""
 
     def receive(self, timeout_s: float | None = None) -> Any:
-        """Return the next item of the inbox; None if none comes within timeout_s. Without a timeout it
-        waits forever.
+        """Return the next item of the inbox; None if none comes within timeout_s.
+
+        Without a timeout it waits forever.
         """
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while not self._ready:
@@ -364,8 +365,9 @@ class Bus:
             self._overflows[name].tell(sequence.dropped, self.log)
 
     def refuse(self, key: Key, reason: str, kind: str) -> None:
-        """Count a dropped message under `kind` and log the reason: as info if it is only repeated, else as
-        a warning.
+        """Count a dropped message under `kind` and log the reason.
+
+        It is logged as info if it is only repeated, else as a warning.
         """
         self.tally.refuse(kind)
         if len(reason) > MOST_REASON:
@@ -403,8 +405,9 @@ class Bus:
         self.publish_health()
 
     def publish_health(self) -> None:
-        """Publish the service's health now. After the first call, `receive` repeats it at least every
-        HEALTH_EVERY_S.
+        """Publish the service's health now.
+
+        After the first call, `receive` repeats it at least every HEALTH_EVERY_S.
         """
         tally = self.tally
         health = Health(
@@ -450,8 +453,9 @@ class Bus:
         before.close()  # type: ignore[no-untyped-call]
 
     def keep_health(self) -> None:
-        """Publish the service's health if HEALTH_EVERY_S have passed since the last time. Raises BusError
-        beside an older one, if sole.
+        """Publish the service's health if HEALTH_EVERY_S have passed since the last time.
+
+        Raises BusError beside an older one, if sole.
         """
         if self._sole and self._sole.has_elder:
             raise self._superfluous()

@@ -1,6 +1,4 @@
-"""One service of a name on the bus of a vehicle: a second one, started by mistake, is refused before it
-says anything.
-"""
+"""One service of a name on a vehicle's bus: a second one is refused before it says anything."""
 
 import time
 from collections.abc import Callable

@@ -72,8 +72,9 @@ class _Pieces:
 
 
 class McapFile(Writer):
-    """An MCAP file with zstd chunks, indexes and summary. Methods that write raise OSError if the system
-    does.
+    """An MCAP file with zstd chunks, indexes and summary.
+
+    Methods that write raise OSError if the system does.
     """
 
     def __init__(self, path: Path) -> None:
@@ -107,8 +108,9 @@ class McapFile(Writer):
         self._pieces.file.close()
 
     def break_off(self, name: str, data: dict[str, str]) -> None:
-        """Discard the waiting messages, end the file with a metadata record and the shortest valid footer,
-        and close it.
+        """Discard the waiting messages, and end and close the file.
+
+        Its end is a metadata record and the shortest valid footer.
         """
         end = RecordBuilder()
         for record in (Metadata(name, data), DataEnd(0), Footer(0, 0, 0)):

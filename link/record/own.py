@@ -1,6 +1,4 @@
-"""Which system on a vehicle's bus is the vehicle itself: a bridge may publish others on `mavlink/out`,
-too.
-"""
+"""Which system on a vehicle's bus is the vehicle: a bridge may publish others on `mavlink/out`, too."""
 
 from contextlib import suppress
 from typing import Annotated
@@ -20,8 +18,9 @@ class _Told(msgspec.Struct):
 
 
 class OwnSystem:
-    """The vehicle's MAVLink system id: the one that its health tells; until then that of the first
-    autopilot heard on `mavlink/out`.
+    """The vehicle's MAVLink system id.
+
+    It is the one that its health tells; until then that of the first autopilot heard on `mavlink/out`.
     """
 
     def __init__(self) -> None:
@@ -43,8 +42,9 @@ class OwnSystem:
         return frame.system == self.system and _is_autopilot(frame)
 
     def searched(self, frame: Frame) -> bool:
-        """Whether a frame is from the search that flies a real vehicle: it speaks under the autopilot's
-        system id.
+        """Whether a frame is from the search that flies a real vehicle.
+
+        It speaks under the autopilot's system id.
         """
         return frame.system == self.system and frame.component == ONBOARD_COMPUTER
 

@@ -1,5 +1,6 @@
-"""The records of an MCAP file, one after the other. What is damaged is stepped over: the next chunk is
-looked for behind it.
+"""The records of an MCAP file, one after the other.
+
+What is damaged is stepped over: the next chunk is looked for behind it.
 """
 
 import re
@@ -42,8 +43,9 @@ class Pieces:
         self.whole = False
 
     def __iter__(self) -> Iterator[tuple[Hole, McapRecord | None]]:
-        """Yield where each piece is, and the record there: None where it is damaged. Records that mean
-        nothing to us are left out.
+        """Yield where each piece is, and the record there: None where it is damaged.
+
+        Records that mean nothing to us are left out.
         """
         at = sound = len(
             MCAP0_MAGIC

@@ -32,22 +32,23 @@ from link.record.record import (
 )
 from link.terminal import printable
 
+# Most bytes of memory for all messages, where they are read at once.
 LARGEST_RECORD = 4 << 30
-"""Most bytes of memory for all messages, where they are read at once."""
+# Chunks may unpack to this many times the size of the file, or to SMALL bytes. Real missions pack to a
+# third; a file that unpacks to a thousand times its size was made to exhaust memory.
 MOST_RATIO, SMALL = 100, 1 << 20
-"""Chunks may unpack to this many times the size of the file, or to SMALL bytes. Real missions pack to a
-third; a file that unpacks to a thousand times its size was made to exhaust memory."""
+# Memory overhead of a message, bytes.
 MESSAGE_BYTES = 400
-"""Memory overhead of a message, bytes."""
+# The first bytes of logs that autopilots write on board, and what they are.
 NOT_READ = {b"\xa3\x95": "an ArduPilot dataflash log", b"ULog\x01\x12\x35": "a PX4 ULog"}
-"""The first bytes of logs that autopilots write on board, and what they are."""
+# Most damaged places that are kept apart, and most that are named.
 MOST_PLACES, LISTED = 1000, 3
-"""Most damaged places that are kept apart, and most that are named."""
 
 
 class RecordError(Exception):
-    """The file is not a readable log; the text is one line. It is not a ValueError, since damage raises
-    those.
+    """The file is not a readable log; the text is one line.
+
+    It is not a ValueError, since damage raises those.
     """
 
 
@@ -90,8 +91,9 @@ class Recording(NamedTuple):
 
 
 def is_record(path: Path) -> bool:
-    """True if a file is an MCAP file by its first bytes; raises RecordError if it is empty, no regular
-    file, not readable, or NOT_READ.
+    """True if a file is an MCAP file by its first bytes.
+
+    Raises RecordError if it is empty, no regular file, not readable, or NOT_READ.
 
     A pipe is refused: reading its first bytes would consume them, and could wait forever for a writer.
     """
@@ -139,13 +141,15 @@ def read(path: Path | str) -> Recording:
 
 
 class LogFile:
-    """The messages of a log, one after the other: no more than a chunk of them is in memory. The rest is
-    known at their end.
+    """The messages of a log, one after the other: no more than a chunk of them is in memory.
+
+    The rest is known at their end.
     """
 
     def __init__(self, path: Path) -> None:
-        """Take its path; raises RecordError if it is no MCAP file. So does going through it, for the
-        reasons that `read` has.
+        """Take its path; raises RecordError if it is no MCAP file.
+
+        So does going through it, for the reasons that `read` has.
         """
         if not is_record(path):
             raise RecordError(f"{path} is not an MCAP file")
@@ -155,8 +159,8 @@ class LogFile:
         self._path = path
         self._topics: dict[int, tuple[str, str]] = {}
         self._format = 0
+        # What belongs to this message may still follow.
         self._newest: Entry | None = None
-        """What belongs to this message may still follow."""
         self._sequence = -1
         self._timed = False
         self._count = 0
@@ -193,8 +197,9 @@ class LogFile:
         self.complete = pieces.whole and not self.damage and STOPPED not in self.about
 
     def _of_chunk(self, chunk: Chunk) -> list[McapRecord] | list[None]:
-        """Return the records of a chunk, None in place of a damaged one's. The size that it claims is not
-        trusted.
+        """Return the records of a chunk, None in place of a damaged one's.
+
+        The size that it claims is not trusted.
         """
         if chunk.uncompressed_size > min(LARGEST_PIECE, self._may_unpack):
             return [None]
@@ -281,14 +286,13 @@ class LogFile:
         self._sequence, self._timed = sequence, False
 
 
+# Decompressors that stop at a given size: mcap and zstandard trust the size in the data. Other tools may
+# pack with lz4.
 UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
     "": lambda data, _: data,
     "lz4": lambda data, size: lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size),
     "zstd": lambda data, size: zstandard.ZstdDecompressor().stream_reader(data).read(size),
 }
-"""Decompressors that stop at a given size: mcap and zstandard trust the size in the data. Other tools may
-pack with lz4.
-"""
 
 
 def shortcoming(log: Recording | LogFile) -> str:

@@ -14,7 +14,6 @@ viewers only and are not read back.
 import contextlib
 import json
 import math
-from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Annotated, Any, NamedTuple
 
@@ -25,17 +24,16 @@ from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING
 from link.bus.mavlink import ONBOARD_COMPUTER, continued
 from link.record.own import OwnSystem
 
+# Name of the metadata record that describes the run. If recording stops early, a second such record gives
+# the reason under STOPPED.
 ABOUT, STOPPED = "plumeward", "stopped"
-"""Name of the metadata record that describes the run. If recording stops early, a second such record gives
-the reason under STOPPED.
-"""
+# Entry of ABOUT with the format of the record; the format that is written.
 FORMAT_NAME, FORMAT = "format", 2
-"""Entry of ABOUT with the format of the record; the format that is written."""
+# Formats that are read. 0 stands for records without a format number; they are otherwise the same as 1.
+# Until 1, waypoints were sent on `mavlink/in`: see `key_today`.
 READABLE = (0, 1, FORMAT)
-"""Formats that are read. 0 stands for records without a format number; they are otherwise the same as 1.
-Until 1, waypoints were sent on `mavlink/in`: see `key_today`."""
+# Endings of topics, after their key.
 MALFORMED, DECODED, PARTICLES, ATTACHMENT = "malformed", "decoded", "particles", "attachment"
-"""Endings of topics, after their key."""
 
 STRUCTS: dict[str, type[msgspec.Struct]] = {
     key.name: key.payload for key in KEYS if isinstance(key.payload, type)
@@ -73,8 +71,9 @@ def parted(topic: str) -> tuple[str, str]:
 
 
 def key_today(key: str, payload: bytes, written: int) -> str:
-    """Return the key that a message of a record in format `written` has today: the agent's setpoints on
-    `mavlink/in` are waypoints.
+    """Return the key that a message of a record in format `written` has today.
+
+    The agent's setpoints on `mavlink/in` are waypoints.
     """
     frame = frame_at(payload) if written < FORMAT and key == MAVLINK_IN.name else None
     return (
@@ -91,17 +90,18 @@ class _Timed(msgspec.Struct):
     time_boot_ms: Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 
 
+# ATTITUDE, LOCAL_POSITION_NED and GLOBAL_POSITION_INT begin with the vehicle's own time_boot_ms.
 OWN_TIME = {30, 32, 33}
-"""ATTITUDE, LOCAL_POSITION_NED and GLOBAL_POSITION_INT begin with the vehicle's own time_boot_ms."""
+# SET_POSITION_TARGET_LOCAL_NED begins with the time_boot_ms of the reading it answers.
 SETPOINT = {84}
-"""SET_POSITION_TARGET_LOCAL_NED begins with the time_boot_ms of the reading it answers."""
 
 
 def _time_boot_ms(
     payload: bytes, message_ids: set[int], counts: Callable[[Frame], bool] = lambda _: True
 ) -> int | None:
-    """Return the time_boot_ms of the first frame that counts with one of these message ids, decoding
-    headers only; None: there is none.
+    """Return the time_boot_ms of the first frame that counts with one of these ids; None without one.
+
+    It reads headers only.
     """
     for frame in frames_in(payload):
         if frame.message_id in message_ids and counts(frame):
@@ -109,24 +109,21 @@ def _time_boot_ms(
     return None
 
 
+# Most readings remembered: repeated and answered ones are among the last few.
 MOST_READINGS = 4096
-"""Most readings remembered: repeated and answered ones are among the last few."""
 
 
 class SimulationClock:
-    """Assigns a simulation time to each message, from the vehicle's own time stamps. It goes on where
-    those wrap.
+    """Assigns a simulation time to each message, from the vehicle's own time stamps.
+
+    It goes on where those wrap.
     """
 
     def __init__(self) -> None:
         self._own = OwnSystem()
         self._newest_ms = 0
         self._newest_published_ns = 0
-        self._readings: dict[int, int] = {}
-        """The times of the last MOST_READINGS by their time_boot_ms; `_order` has them in the order in
-        which they came.
-        """
-        self._order: deque[int] = deque()
+        self._readings: dict[int, int] = {}  # the times of the last MOST_READINGS by their time_boot_ms
         self._count = 0
 
     def time_s(self, key: str, payload: bytes, published_ns: int) -> float:
@@ -164,9 +161,8 @@ class SimulationClock:
         if boot_ms not in self._readings:
             self._count += 1
             self._readings[boot_ms] = time_ms
-            self._order.append(boot_ms)
-            if len(self._order) > MOST_READINGS:
-                del self._readings[self._order.popleft()]
+            if len(self._readings) > MOST_READINGS:
+                del self._readings[next(iter(self._readings))]
         return self._readings[boot_ms]
 
     @property
@@ -175,8 +171,8 @@ class SimulationClock:
         return self._count - 1
 
 
+# A run whose first time is at most this begins at 0.
 EARLY_S = 60.0
-"""A run whose first time is at most this begins at 0."""
 
 
 def began_s(times_s: Iterable[float]) -> float:

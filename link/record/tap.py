@@ -96,16 +96,18 @@ class Tap(Bus):
             self._drain()
 
     def _drain(self) -> None:
-        """Move what is in the rings to the inbox, at most one full ring of each key: new messages keep
-        coming.
+        """Move what is in the rings to the inbox.
+
+        Of each key at most one full ring, as new messages keep coming.
         """
         with self._draining:
             for ring in tuple(self._rings.values()):
                 self._full += self._drain_one(*ring)
 
     def _drain_one(self, key: Key, put: Callable[[Any, int], None]) -> bool:
-        """Empty a ring; returns whether it was full, and so may have dropped messages: nobody knows how
-        many.
+        """Empty a ring.
+
+        Returns whether it was full, and so may have dropped messages: nobody knows how many.
         """
         handler = self._held[key.name].handler
         for _ in range(most_waiting(key)):

@@ -1,6 +1,4 @@
-"""Writes the record of a running mission: an MCAP file of all messages, and a .tlog file of the MAVLink
-frames.
-"""
+"""Writes the record of a running mission: an MCAP file of all messages, a .tlog of the MAVLink frames."""
 
 import contextlib
 import json
@@ -41,18 +39,18 @@ from link.record.record import (
     with_time,
 )
 
+# A chunk is closed at this size, if no flush has closed it before.
 CHUNK_BYTES = 4_000_000
-"""A chunk is closed at this size, if no flush has closed it before."""
+# A flush leaves frames younger than this out of the .tlog, so that frames that overtook each other are
+# written in order.
 TLOG_LAG_NS = 100_000_000
-"""A flush leaves frames younger than this out of the .tlog, so that frames that overtook each other are
-written in order.
-"""
 DECODERS = {name: msgspec.json.Decoder(kind) for name, kind in STRUCTS.items()}
 
 
 class Writer:
-    """Writes PATH and the .tlog of the same stem. If writing fails, it raises OSError; what was flushed
-    stays readable.
+    """Writes PATH and the .tlog of the same stem.
+
+    If writing fails, it raises OSError; what was flushed stays readable.
     """
 
     def __init__(self, path: Path, about: dict[str, Any]) -> None:
@@ -82,8 +80,9 @@ class Writer:
     def write_for_viewers(
         self, topic: str, schema: Callable[[], tuple[str, bytes]], data: bytes, received_ns: int
     ) -> None:
-        """Write a protobuf message that was not on the bus. Readers of records leave it out, if its topic
-        does not begin with a key's name.
+        """Write a protobuf message that was not on the bus.
+
+        Readers of records leave it out, if its topic does not begin with a key's name.
 
         `schema` returns the name of the message's type and its encoded FileDescriptorSet.
         """
@@ -186,8 +185,9 @@ class _Tlog:
         self._waiting.append((published_ns, received_ns, frame))
 
     def flush(self, until_ns: int) -> None:
-        """Write the frames received until `until_ns`, and those published before them, in order of
-        publishing.
+        """Write the frames received until `until_ns`, in order of publishing.
+
+        With them go those published before them.
         """
         self._waiting.sort(key=lambda waiting: waiting[0])
         due = max(

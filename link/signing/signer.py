@@ -51,8 +51,10 @@ class Signing:
             )
 
     def link(self, url: str) -> "Signer":
-        """Return what signs a link. Its link id comes from its URL and whose it is: two processes should
-        not speak with the same ids.
+        """Return what signs a link.
+
+        Its link id comes from its URL and whose it is: two processes should not speak with the same
+        ids.
         """
         number = crc32(f"{self._who} {url}".encode()) % 256
         while number in self._numbers and len(self._numbers) < 256:

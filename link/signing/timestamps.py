@@ -31,8 +31,9 @@ def clock() -> int:
 
 
 class Timestamps:
-    """The last timestamp of each stream that a process has sent or accepted, for all its links. Safe in
-    several threads.
+    """The last timestamp of each stream that a process has sent or accepted, for all its links.
+
+    Safe in several threads.
 
     Each timestamp is in the file before it is used, in a line of its own that is written at once, so a
     process may be killed at any time.
@@ -41,8 +42,9 @@ class Timestamps:
     """
 
     def __init__(self, path: Path, now: Callable[[], int] = clock) -> None:
-        """Open the file, or begin it; raises ValueError if it cannot be used. now: the clock; it may step
-        back.
+        """Open the file, or begin it.
+
+        Raises ValueError if it cannot be used. now: the clock; it may step back.
         """
         self._path = path
         self._now = now
@@ -99,8 +101,9 @@ class Timestamps:
                 )
 
     def next(self, stream: Stream) -> int:
-        """Return the timestamp of the next frame to send: the clock's, or one more than the last one where
-        the clock is behind.
+        """Return the timestamp of the next frame to send.
+
+        It is the clock's, or one more than the last one where the clock is behind.
 
         What is sent is remembered as what is accepted: nobody can play it back.
         """
@@ -110,8 +113,9 @@ class Timestamps:
             return self._last
 
     def accept(self, stream: Stream, timestamp: int) -> bool:
-        """Whether a frame that is rightly signed is new, and not far ahead. If so, it is remembered, and
-        own timestamps will be later.
+        """Whether a frame that is rightly signed is new, and not far ahead.
+
+        If so, it is remembered, and own timestamps will be later.
 
         It must be later than the last one of its stream. A new stream may be a minute behind, not more,
         and must be later than all that was forgotten.
@@ -131,14 +135,16 @@ class Timestamps:
             return new
 
     def is_far_ahead(self, timestamp: int) -> bool:
-        """Whether a timestamp is ahead of the clock by more than AHEAD. Nothing is where the clock stands
-        before 2015: it is not set.
+        """Whether a timestamp is ahead of the clock by more than AHEAD.
+
+        Nothing is where the clock stands before 2015: it is not set.
         """
         return 0 < self._now() < timestamp - AHEAD
 
     def _look_ahead(self, stream: Stream, timestamp: int) -> None:
-        """Say once that a timestamp is ahead of the clock. It is taken all the same, as the standard has
-        it: clocks may be wrong.
+        """Say once that a timestamp is ahead of the clock.
+
+        It is taken all the same, as the standard has it: clocks may be wrong.
         """
         if (ahead := timestamp - self._now()) > MINUTE and not self._ahead:
             self._ahead = True
@@ -158,8 +164,9 @@ class Timestamps:
         self._write(self._lines[stream], b"%3d %3d %3d %15d\n" % (*stream, timestamp))
 
     def _forget(self) -> None:
-        """Make room by forgetting the oldest stream. What it has said stays refused: FORGOTTEN is written
-        before its line is used again.
+        """Make room by forgetting the oldest stream.
+
+        What it has said stays refused: FORGOTTEN is written before its line is used again.
         """
         oldest = min(self._latest.keys() - {FORGOTTEN}, key=self._latest.__getitem__)
         timestamp, line = self._latest.pop(oldest), self._lines.pop(oldest)
