@@ -17,7 +17,7 @@ from link.terminal import Column, printable, table, tell, width_of
 
 if TYPE_CHECKING:
     from ground.desk.survey import KeyTable, Survey
-    from ground.tlog.sender import FlightLog
+    from ground.tlog.log import FlightLog
     from link.record.reader import LogFile
     from link.record.record import Entry
 
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log",
         metavar="LOG",
         type=Path,
-        help="an .mcap written by a mission or `record`, or any autopilot's .tlog",
+        help="an .mcap written by a mission or `record`, or any autopilot's .tlog, .bin or .ulg",
     )
     output = parser.add_mutually_exclusive_group()
     output.add_argument(
@@ -74,8 +74,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the summary or the CSV; returns the exit status: 1 if pieces of the log are missing."""
     from ground.desk.survey import Survey
     from ground.replay.source import BadSource, is_recording
-    from ground.tlog.flight import open_log
-    from ground.tlog.sender import FlightError
+    from ground.tlog.log import FlightError, open_log
     from link.record.reader import LogFile, RecordError
 
     missing = ""

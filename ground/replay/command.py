@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log",
         metavar="LOG",
         type=Path,
-        help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog",
+        help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog, .bin or .ulg",
     )
     parser.add_argument(
         "-e",

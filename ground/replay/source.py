@@ -12,7 +12,7 @@ import msgspec
 from ground.replay import settings, verify
 from ground.replay.verify import Answer, Rules
 from ground.tlog import flight
-from ground.tlog.sender import FlightError
+from ground.tlog.log import FlightError
 from link.bus.keys import HEALTH, MAVLINK_OUT, READING
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.record.reader import RecordError, is_record, read
