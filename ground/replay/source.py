@@ -22,19 +22,17 @@ from plume.worlds import AS_MODELLED
 from sitl.script import script
 from sitl.script.typed_yaml import FileError
 
+# The keys that a vehicle publishes on, by their names in a log.
 VEHICLE_KEYS = {
     READING.name: READING,
     MAVLINK_OUT.name: MAVLINK_OUT,
     HEALTH.name.replace("<service>", "uav"): HEALTH,
 }
-"""The keys that a vehicle publishes on, by their names in a log."""
+# The service that sends each kind of answer.
 SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
-"""The service that sends each kind of answer."""
 
-OURS = "uav/1"
-"""The namespace of the first vehicle."""
-OVERTAKE_NS = 500_000_000
-"""Largest time by which messages overtake each other on their way into a log, ns."""
+OURS = "uav/1"  # the namespace of the first vehicle
+OVERTAKE_NS = 500_000_000  # largest time by which messages overtake each other on their way into a log, ns
 
 
 class BadSource(ValueError):
@@ -45,35 +43,24 @@ class Source(NamedTuple):
     """What is replayed, and the services to start."""
 
     path: Path
-    entries: list[Entry]
-    """The vehicle's messages in the order of publication."""
+    entries: list[Entry]  # the vehicle's messages in the order of publication
+    # The recorded answers of the services; empty for an autopilot's log.
     then: Mapping[tuple[int, str], Answer]
-    """The recorded answers of the services; empty for an autopilot's log."""
-    parts: Mapping[str, list[str]]
-    """The services to start, with their command lines."""
+    parts: Mapping[str, list[str]]  # the services to start, with their command lines
     namespace: str
-    recorded: bool
-    """True: a recording of the bus. False: an autopilot's log."""
+    recorded: bool  # True: a recording of the bus. False: an autopilot's log.
+    # Why a service cannot be started as the record says, one line each.
     unfit: Mapping[str, str] = MappingProxyType({})
-    """Why a service cannot be started as the record says, one line each."""
+    # The log has all answers to readings up to this time; if it was cut off or damaged, later ones may lack
+    # some.
     sure_ms: float = math.inf
-    """The log has all answers to readings up to this time; if it was cut off or damaged, later ones may
-    lack some.
-    """
-    sure_ns: float = math.inf
-    """Up to this time of publication it lacks nothing."""
-    damaged: bool = False
-    """Whether pieces of it are missing."""
-    slowest_s: float = 0.0
-    """The longest recorded answer time."""
-    budget: float = math.inf
-    """The agent's step budget."""
-    truth: tuple[float, float] | None = None
-    """True location of the source, m; None if unknown."""
-    world: str = AS_MODELLED
-    """How the truth differs from what the estimator was told; as modelled if unknown."""
-    notes: tuple[str, ...] = ()
-    """Remarks on the log, one line each."""
+    sure_ns: float = math.inf  # up to this time of publication it lacks nothing
+    damaged: bool = False  # whether pieces of it are missing
+    slowest_s: float = 0.0  # the longest recorded answer time
+    budget: float = math.inf  # the agent's step budget
+    truth: tuple[float, float] | None = None  # true location of the source, m; None if unknown
+    world: str = AS_MODELLED  # how the truth differs from what the estimator was told; as modelled if unknown
+    notes: tuple[str, ...] = ()  # remarks on the log, one line each
 
 
 class _Release(msgspec.Struct, frozen=True):

@@ -15,8 +15,8 @@ from link.bus.mavlink import BadFrame, nearest, unpack
 from link.bus.messages import Belief, Stop
 from link.record.record import Entry
 
+# Kinds of answers to a reading and their keys, in the order of publication.
 KINDS = {"stop": STOP.name, "belief": BELIEF.name, "waypoint": WAYPOINT.name}
-"""Kinds of answers to a reading and their keys, in the order of publication."""
 PARTICLES = "particles"
 SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message
 FIELDS: Mapping[str, tuple[str, ...]] = {
@@ -24,18 +24,16 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "belief": (*Belief.__struct_fields__, PARTICLES),
     "waypoint": tuple(SETPOINT.fieldnames),
 }
-YOUNG = ("assume", "stop", "evidence")
-"""Fields that older records lack; then they are not compared."""
+YOUNG = ("assume", "stop", "evidence")  # fields that older records lack; then they are not compared
+# Fields shown of a message that only one side has.
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}
-"""Fields shown of a message that only one side has."""
 
 
 class Answer(NamedTuple):
     """One answer of a service to one reading."""
 
     kind: str
-    time_ms: int
-    """Time of the reading that it answers."""
+    time_ms: int  # time of the reading that it answers
     fields: dict[str, Any]
 
     def near(self, time_ms: float) -> "Answer":
@@ -50,10 +48,8 @@ class Difference(NamedTuple):
 
     kind: str
     time_ms: int
-    step: int | None
-    """None where no belief says it."""
-    field: str
-    """The value that differs; empty if only one side has the message."""
+    step: int | None  # none where no belief says it
+    field: str  # the value that differs; empty if only one side has the message
     was: Any
     now: Any
 
@@ -85,10 +81,8 @@ class Difference(NamedTuple):
 class Rules(NamedTuple):
     """Differences that are accepted."""
 
-    ignored: frozenset[str] = frozenset()
-    """Kinds, and fields as KIND.FIELD."""
-    tolerance: float = 0.0
-    """Largest difference of numbers that is accepted."""
+    ignored: frozenset[str] = frozenset()  # kinds, and fields as KIND.FIELD
+    tolerance: float = 0.0  # largest difference of numbers that is accepted
 
 
 EXACTLY = Rules()

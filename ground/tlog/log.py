@@ -74,10 +74,13 @@ class FlightLog:
         """Return a record's original frame."""
         return self.data[self.records.starts[index] : self.records.ends[index]]
 
+    def message(self, index: int) -> Message:
+        """Decode a record."""
+        return self._parser.decode(bytearray(self.frame(index)))
+
     def messages(self, indices: Integers) -> Iterator[tuple[int, Message]]:
         """Decode these records; yields (index, message)."""
-        for index in indices.tolist():
-            yield index, self._parser.decode(bytearray(self.frame(index)))
+        return ((index, self.message(index)) for index in indices.tolist())
 
     def seconds(self, index: int) -> float:
         """Return the log's time of a record, s from the first one."""
