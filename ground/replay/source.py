@@ -111,25 +111,25 @@ def recording(path: Path, bundle: str | None = None) -> Source:
     notes: tuple[str, ...] = ()
     sure_ms = sure_ns = math.inf
     sound = log.entries[: log.damage[0].before] if log.damage else log.entries
+    then = verify.said(sound)
+    asked: dict[int, int] = {}  # by the time of a reading, when it was published first
+    for entry in sound:
+        if entry.key == READING.name and (time_ms := reading_time(entry)) is not None:
+            asked.setdefault(time_ms, entry.published_ns)
     if not log.complete:
         end_s = max((entry.simulation_s for entry in sound), default=0.0)
         notes = (f"{path} is cut off: replayed up to its end at {end_s:.2f} s",)
         if log.damage:
             notes = (f"warning: {path} {log.shortcoming}; --verify compares up to {end_s:.2f} s",)
         sure_ns = max((entry.published_ns for entry in sound), default=0)
-        early = [
-            entry
-            for entry in sound
-            if entry.key == READING.name and entry.published_ns <= sure_ns - OVERTAKE_NS
-        ]
-        sure_ms = max((time for time in map(reading_time, early) if time is not None), default=-1)
+        sure_ms = max((time for time, ns in asked.items() if ns <= sure_ns - OVERTAKE_NS), default=-1)
     return Source(
         path,
         sorted(
             (entry for entry in log.entries if entry.key in VEHICLE_KEYS),
             key=lambda entry: entry.published_ns,
         ),
-        verify.said(sound),
+        then,
         parts,
         told.namespace,
         recorded=True,
@@ -137,23 +137,16 @@ def recording(path: Path, bundle: str | None = None) -> Source:
         sure_ms=sure_ms,
         sure_ns=sure_ns,
         damaged=bool(log.damage),
-        slowest_s=_slowest_s(log.entries),
+        slowest_s=max(
+            (each.published_ns - asked.get(each.time_ms, each.published_ns) for each in then.values()),
+            default=0,
+        )
+        / 1e9,
         budget=math.inf if told.budget is None else told.budget,
         truth=told.scenario.source,
         world=told.mission.world,
         notes=notes,
     )
-
-
-def _slowest_s(entries: list[Entry]) -> float:
-    asked: dict[int | None, int] = {}
-    answered: dict[tuple[int, str], int] = {}
-    for entry in entries:
-        if entry.key == READING.name:
-            asked.setdefault(reading_time(entry), entry.published_ns)
-        for answer in verify.recorded(entry):
-            answered.setdefault((answer.time_ms, answer.kind), entry.published_ns)
-    return max((ns - asked[time] for (time, _), ns in answered.items() if time in asked), default=0) / 1e9
 
 
 def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
@@ -242,35 +235,46 @@ def _refuse(
     args: argparse.Namespace, recorded: bool, chosen: Mapping[str, Any], filtering: Mapping[str, Any]
 ) -> None:
     """Raise BadSource on a flag that would have no effect here."""
-    for name in (*chosen, *filtering) if recorded else ():
-        raise BadSource(
-            f"--{name.replace('_', '-')}: not allowed with {args.log}: a recording has its own settings"
-        )
-    for name in filtering if args.connect else ():
-        raise BadSource(
-            f"--{name.replace('_', '-')}: not allowed with --connect: the estimator there has its own "
-            "settings"
-        )
-    if args.policy and (args.connect or not recorded):
-        raise BadSource("--policy: only allowed where the agent of a recording is started")
-    for name, value in () if args.verify else (("ignore", args.ignore), ("tolerance", args.tolerance)):
-        if value:
-            raise BadSource(f"--{name}: only allowed with --verify")
-    if args.loop and args.connect:
-        raise BadSource(
-            "--loop: not allowed with --connect: an estimator accepts the same readings only once"
-        )
-    if args.verify and not recorded:
-        raise BadSource(
-            f"--verify: not allowed with {args.log}: an autopilot's log holds no answers to compare with"
-        )
-    if args.verify and args.from_s:
-        raise BadSource(
+    flags = {name: f"--{name.replace('_', '-')}" for name in (*chosen, *filtering)}
+    rules = [
+        *(
+            (recorded, f"{flag}: not allowed with {args.log}: a recording has its own settings")
+            for flag in flags.values()
+        ),
+        *(
+            (
+                args.connect,
+                f"{flags[name]}: not allowed with --connect: the estimator there has its own settings",
+            )
+            for name in filtering
+        ),
+        (
+            args.policy and (args.connect or not recorded),
+            "--policy: only allowed where the agent of a recording is started",
+        ),
+        (args.ignore and not args.verify, "--ignore: only allowed with --verify"),
+        (args.tolerance and not args.verify, "--tolerance: only allowed with --verify"),
+        (
+            args.loop and args.connect,
+            "--loop: not allowed with --connect: an estimator accepts the same readings only once",
+        ),
+        (
+            args.verify and not recorded,
+            f"--verify: not allowed with {args.log}: an autopilot's log holds no answers to compare with",
+        ),
+        (
+            args.verify and args.from_s,
             f"--from: {args.from_s:g} is not allowed with --verify; wanted 0: a belief depends on all "
-            "readings before it"
-        )
-    if args.from_s > args.to_s:
-        raise BadSource(f"--to: {args.to_s:g} is not allowed; wanted at least --from, {args.from_s:g}")
+            "readings before it",
+        ),
+        (
+            args.from_s > args.to_s,
+            f"--to: {args.to_s:g} is not allowed; wanted at least --from, {args.from_s:g}",
+        ),
+    ]
+    for broken, text in rules:
+        if broken:
+            raise BadSource(text)
 
 
 def _cut(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
