@@ -11,7 +11,7 @@ import numpy as np
 from ground.tlog import track
 from ground.tlog.clock import Floats, VehicleClock, vehicle_clock
 from ground.tlog.log import AUTOPILOT, Autopilot, FlightError, FlightLog, choose, open_log
-from ground.tlog.samples import Air, Pair, LoggedGas, parse_gas, read_gas, read_wind, recorded, steady
+from ground.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wind, recorded, steady
 from ground.tlog.track import Anchor, FlownPath, NorthEastUp
 from link.bus.keys import MAVLINK_OUT, READING
 from link.bus.mavlink import GAS_NAME, WRAP_MS, Codec, Reading, pack_reading

@@ -7,7 +7,6 @@ not: it drops each sound frame that a damaged one seems to reach into.
 
 import itertools
 import math
-import re
 import struct
 from array import array
 from collections import Counter
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
-from link.bus.frames import MAVLINK_1, MAVLINK_2, SHORTEST, Frame, checksums, frame_at, frame_length
+from link.bus.frames import MARKER, MAVLINK_1, MAVLINK_2, SHORTEST, Frame, checksums, frame_at, frame_length
 
 Integers = NDArray[np.int64]
 
@@ -26,7 +25,6 @@ NO_STAMP = -1
 # The year 2100: a later time is damaged. An early one is valid: a computer without a clock starts in 1970.
 LATEST_US = 4_102_444_800_000_000
 SURE_US = 1_000_000  # a larger step between two records is checked against the records that follow
-MAGIC = re.compile(b"[\xfd\xfe]")
 SEEDS = {message_id: bytes([kind.crc_extra]) for message_id, kind in mavlink.mavlink_map.items()}
 
 
@@ -116,7 +114,7 @@ def _next(data: bytes, at: int, refused: dict[int, int]) -> tuple[int, Frame] | 
     """Return the next real frame from offset `at` on, and where it begins. A record that starts exactly there
     is tried first.
     """
-    for start in itertools.chain((at + STAMP,), (match.start() for match in MAGIC.finditer(data, at))):
+    for start in itertools.chain((at + STAMP,), (match.start() for match in MARKER.finditer(data, at))):
         frame = frame_at(data, start)
         if frame is None:
             continue
@@ -133,7 +131,7 @@ def _is_real(data: bytes, at: int, start: int, frame: Frame) -> bool:
         return _is_right(frame)
     if not _is_between_records(data, at, start, frame):
         return False
-    places = MAGIC.finditer(data, start + 1, start + len(frame.data))
+    places = MARKER.finditer(data, start + 1, start + len(frame.data))
     inside = (frame_at(data, match.start()) for match in places)
     return not any(seen and seen.message_id in SEEDS and _is_right(seen) for seen in inside)
 
