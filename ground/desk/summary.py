@@ -90,11 +90,11 @@ def run(args: argparse.Namespace) -> int:
                 summary = _summary(args.log, log, Survey(log))
             missing = f"{args.log} {log.shortcoming}" if log.damage else ""
         else:
-            flown, notes = open_log(args.log)
+            flown = open_log(args.log)
             if args.csv:
                 names, rows = _table(_of_flight(flown), _of_flight(flown), args.csv)
             else:
-                summary = _summary_of_flight(args.log, flown, notes)
+                summary = _summary_of_flight(args.log, flown)
     except (RecordError, FlightError, BadSource, _NoSuchKey) as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
@@ -257,7 +257,7 @@ def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
 # ---- logs of autopilots ----
 
 
-def _summary_of_flight(path: Path, log: "FlightLog", notes: list[str]) -> Summary:
+def _summary_of_flight(path: Path, log: "FlightLog") -> Summary:
     """Return a summary of an autopilot's log by message type."""
     from ground.desk.survey import KeyTable
     from ground.tlog.log import NAMES
@@ -270,8 +270,14 @@ def _summary_of_flight(path: Path, log: "FlightLog", notes: list[str]) -> Summar
     senders = ", ".join(f"{system}/{component}" for system, component in sorted(log.senders()))
     head = [f"{path}: MAVLink of system/component {senders}", f"{len(log):,} messages in {span_s:.1f} s"]
     counts = {table.name: {"messages": len(table.published_s)} for table in tables}
-    fields = {"log": str(path), "messages": len(log), "duration_s": span_s, "keys": counts, "notes": notes}
-    return Summary(head, tables, notes, fields)
+    fields = {
+        "log": str(path),
+        "messages": len(log),
+        "duration_s": span_s,
+        "keys": counts,
+        "notes": log.notes,
+    }
+    return Summary(head, tables, log.notes, fields)
 
 
 def _of_flight(log: "FlightLog") -> Messages:

@@ -68,8 +68,8 @@ class VehicleClock:
         return np.maximum(np.searchsorted(self._ticks, records, side="right") - 1, 0)
 
 
-def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> tuple[VehicleClock, list[str]]:
-    """Make the vehicle's times continuous and remove jumps from the log's clock; also returns notes.
+def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> VehicleClock:
+    """Make the vehicle's times continuous and remove jumps from the log's clock; notes what was corrected.
 
     Raises FlightError if neither the log nor the vehicle's messages contain times.
     """
@@ -86,24 +86,24 @@ def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> tuple[VehicleClock, l
     times_ms, boots = _continuous(raw.tolist(), log.times_us[ticks].tolist())
     own = np.flatnonzero(log.records.systems == autopilot.system)
     if log.is_timed:
-        notes = _remove_jumps(log, own, ticks, times_ms, boots)
+        _remove_jumps(log, own, ticks, times_ms, boots)
     else:
         newest_us = 1000 * np.maximum.accumulate(times_ms)
         log.times_us = np.interp(np.arange(len(log)), ticks, newest_us).astype(np.int64)
-        notes = ["the log has no record times: the vehicle's own times are used"]
+        log.notes.append("the log has no record times: the vehicle's own times are used")
     restarts = [
         f"at {log.seconds(ticks[tick]):.1f} s (time_boot_ms from {raw[tick - 1]:,} to {raw[tick]:,})"
         for tick in (np.flatnonzero(np.diff(boots)) + 1).tolist()
     ]
     if restarts:
-        notes.append(f"the vehicle restarted: {few(restarts)}; its time continues across restarts here")
+        log.notes.append(f"the vehicle restarted: {few(restarts)}; its time continues across restarts here")
     silences_us = np.diff(log.times_us[own])
     gaps = np.flatnonzero(silences_us > GAP_US).tolist()
     if gaps:
         told = few([f"{silences_us[gap] / 1e6:.1f} s at {log.seconds(own[gap]):.1f} s" for gap in gaps])
         total_s = silences_us[gaps].sum() / 1e6
-        notes.append(f"gaps without a message from the vehicle: {told}; {total_s:.1f} s in total")
-    return VehicleClock(log, ticks, raw, times_ms, boots), notes
+        log.notes.append(f"gaps without a message from the vehicle: {told}; {total_s:.1f} s in total")
+    return VehicleClock(log, ticks, raw, times_ms, boots)
 
 
 def _boot_ms(log: FlightLog, index: int) -> int:
@@ -145,8 +145,8 @@ def _goes_on(last: int, now: int) -> bool:
 
 def _remove_jumps(
     log: FlightLog, own: Integers, ticks: Integers, times_ms: Integers, boots: Integers
-) -> list[str]:
-    """Remove the log's steps that the vehicle's clock did not take; returns a note."""
+) -> None:
+    """Remove the log's steps that the vehicle's clock did not take."""
     told, leapt_us = [], 0
     steps_us = np.diff(log.times_us[own])
     leaps_us = np.zeros_like(log.times_us)
@@ -162,4 +162,5 @@ def _remove_jumps(
             leaps_us[own[silence + 1]] = leap_us
             leapt_us += leap_us
     log.times_us -= np.cumsum(leaps_us)
-    return [f"the log's clock jumps ahead of the vehicle's by {few(told)}: corrected"] if told else []
+    if told:
+        log.notes.append(f"the log's clock jumps ahead of the vehicle's by {few(told)}: corrected")

@@ -66,32 +66,26 @@ def read(
     area then, else around the path. area_m: the side of the area.
     """
     _check(wind, every_s, origin, area_m, plume)
-    log, notes = open_log(path, gas)
+    log = open_log(path, gas)
     source = parse_gas(gas, log.is_onboard)
-    autopilot, told = choose(log, system)
-    notes += told
-    clock, told = vehicle_clock(log, autopilot)
-    notes += told
+    autopilot = choose(log, system)
+    clock = vehicle_clock(log, autopilot)
     own, foreign = recorded(log, autopilot, clock)
-    flown, told = track.flown(log, autopilot, clock, foreign)
-    notes += told
-    flying, told = track.flying(log, autopilot, clock)
-    notes += told
+    flown = track.flown(log, autopilot, clock, foreign)
+    flying = track.flying(log, autopilot, clock)
     home = track.home(log, autopilot, clock, flying, flown)
     left_out: Counter[str] = Counter()
     every, air = every_s or EVERY_S, steady((0.0, 0.0))
     if own and not plume and wind is None and gas == GAS_NAME:
         home = home or (0.0, 0.0)
         every, samples = every_s or LEAST_EVERY_S, [_in_local_frame(each, home) for each in own]
-        notes.append("gas, wind and positions: readings of a search")
+        log.notes.append("gas, wind and positions: readings of a search")
     elif plume:
         air, samples = steady(plume.wind), _along(flown, clock, every)
-        notes.append("gas and wind: simulated along the path")
+        log.notes.append("gas and wind: simulated along the path")
     else:
-        samples, told = read_gas(log, autopilot, clock, source, left_out)
-        notes += told
-        air, told = read_wind(log, autopilot, clock, wind)
-        notes += told
+        samples = read_gas(log, autopilot, clock, source, left_out)
+        air = read_wind(log, autopilot, clock, wind)
     taken = _take(samples, every, flying, flown, air, left_out)
     places = [place for _, place, _ in taken]
     if plume:
@@ -105,12 +99,12 @@ def read(
             f"{path}: none of the {len(samples):,} samples can be a reading; left out: {out or 'none'}"
         )
     where = _where(corner, flown.anchor)
-    notes.append(_note_on_readings([reading for reading, _ in readings], every))
-    notes += [f"left out: {out}"] * bool(out)
+    log.notes.append(_note_on_readings([reading for reading, _ in readings], every))
+    log.notes += [f"left out: {out}"] * bool(out)
     globe = "" if where.lat_deg is None else f" ({where.lat_deg:.7f}, {where.lon_deg:.7f})"
     south_west = f"{where.north_m:g} m north and {where.east_m:g} m east of the local origin{globe}"
-    notes.append(f"area: side {side_m:g} m, south-west corner {south_west}")
-    return LoggedFlight(_entries(log, autopilot, clock, readings), autopilot.system, side_m, where, notes)
+    log.notes.append(f"area: side {side_m:g} m, south-west corner {south_west}")
+    return LoggedFlight(_entries(log, autopilot, clock, readings), autopilot.system, side_m, where, log.notes)
 
 
 def _check(

@@ -49,6 +49,7 @@ class FlightLog:
         """Find the records; there may be none. `is_onboard`: the data was a log that is written on board."""
         self.data = data
         self.is_onboard = is_onboard
+        self.notes: list[str] = []  # what was read, what was left out and why, in lines for people
         self.records = scan(data)
         self.clock = log_clock(self.records.logged_us)
         self.times_us = self.clock.times_us.copy()  # µs since 1970; `vehicle_clock` may correct them
@@ -95,8 +96,8 @@ class FlightLog:
 # ---- the file ----
 
 
-def open_log(path: Path, gas: str = "") -> tuple[FlightLog, list[str]]:
-    """Return a log's records and notes about the file. Raises FlightError if it cannot be read or is none.
+def open_log(path: Path, gas: str = "") -> FlightLog:
+    """Return a log's records, with notes about the file. Raises FlightError if it cannot be read or is none.
 
     gas: the message and field that an on-board log's gas values are read from, if it is not a named value.
     """
@@ -104,11 +105,10 @@ def open_log(path: Path, gas: str = "") -> tuple[FlightLog, list[str]]:
         data = path.read_bytes()
     except OSError as error:
         raise FlightError(f"{path} cannot be read: {error.strerror}") from None
-    notes = []
+    told = ""
     is_onboard = data.startswith((onboard.DATAFLASH, onboard.ULOG))
     if is_onboard:
         data, told = onboard.telemetry(data, gas)
-        notes.append(f"{path.name}: {told}; read as the telemetry that follows")
     log = FlightLog(data, is_onboard)
     if is_onboard and not len(log):
         raise FlightError(f"{path} is {told}, but none that tells of a position, the wind or gas")
@@ -117,17 +117,20 @@ def open_log(path: Path, gas: str = "") -> tuple[FlightLog, list[str]]:
             f"{path} contains no MAVLink 1 or 2 frame; wanted a telemetry log (.tlog), as ground stations "
             "write it, or a log that an autopilot writes on board (.bin, .ulg)"
         )
-    return log, notes + _notes_on_file(path.name, log)
+    if told:
+        log.notes.append(f"{path.name}: {told}; read as the telemetry that follows")
+    _note_file(path.name, log)
+    return log
 
 
-def _notes_on_file(name: str, log: FlightLog) -> list[str]:
-    records, clock = log.records, log.clock
+def _note_file(name: str, log: FlightLog) -> None:
+    records, clock, notes = log.records, log.clock, log.notes
     version_1 = sum(log.data[start] == mavlink.PROTOCOL_MARKER_V1 for start in records.starts.tolist())
     counts = (("1", version_1), ("2", len(log) - version_1))
     versions = " and ".join(version for version, count in counts if count)
     began = datetime.fromtimestamp(int(log.times_us[0]) / 1e6, UTC)
     span = f" in {log.seconds(-1):,.1f} s from {began:%Y-%m-%d %H:%M:%S} UTC" if log.is_timed else ""
-    notes = [f"{name}: {counted(len(log), 'frame')} of MAVLink {versions}{span}"]
+    notes.append(f"{name}: {counted(len(log), 'frame')} of MAVLink {versions}{span}")
     if records.garbage:
         amount = counted(sum(count for _, count in records.garbage), "byte")
         first_s = log.seconds(min(records.garbage[0][0], len(log) - 1))
@@ -151,7 +154,6 @@ def _notes_on_file(name: str, log: FlightLog) -> list[str]:
     if clock.jumps:
         jumps = [f"{back_us / 1e6:,.1f} s at {log.seconds(index):.1f} s" for index, back_us in clock.jumps]
         notes.append(f"the log's clock jumps back by {few(jumps)}: later times are corrected")
-    return notes
 
 
 # ---- its senders ----
@@ -165,8 +167,8 @@ class Autopilot(NamedTuple):
     maker: str
 
 
-def choose(log: FlightLog, system: int | None) -> tuple[Autopilot, list[str]]:
-    """Return the autopilot that sent the most positions, of one system or of any, and notes on all senders.
+def choose(log: FlightLog, system: int | None) -> Autopilot:
+    """Return the autopilot that sent the most positions, of one system or of any, and note all senders.
 
     Raises FlightError if there is none.
     """
@@ -194,10 +196,10 @@ def choose(log: FlightLog, system: int | None) -> tuple[Autopilot, list[str]]:
         autopilots or candidates, key=lambda sender: (positions[sender], sender in makers, senders[sender])
     )
     chosen = Autopilot(*best, makers.get(best, "no heartbeat of an autopilot"))
-    notes = [
+    log.notes.append(
         f"vehicle: system {chosen.system} ({chosen.maker}), component {chosen.component} "
         f"({counted(senders.pop(best), 'frame')})"
-    ]
+    )
     own, strangers = [], []
     for (of, component), count in senders.most_common():
         if of == chosen.system:
@@ -206,4 +208,5 @@ def choose(log: FlightLog, system: int | None) -> tuple[Autopilot, list[str]]:
             station = "ground station, " * ((of, component) in stations)
             strangers.append(f"system {of} component {component} ({station}{counted(count, 'frame')})")
     kinds = (("also on board", own), ("skipped", strangers))
-    return chosen, notes + [f"{told}: {few(listed)}" for told, listed in kinds if listed]
+    log.notes += [f"{told}: {few(listed)}" for told, listed in kinds if listed]
+    return chosen

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog.clock import Floats, VehicleClock
 from ground.tlog.frames import Integers
-from ground.tlog.log import LOCAL, Autopilot, FlightError, FlightLog, counted, few
+from ground.tlog.log import LOCAL, NAMES, Autopilot, FlightError, FlightLog, counted, few
 from ground.tlog.onboard import NAME_LENGTH
 from ground.tlog.track import NorthEastUp, Reported
 from link.bus.mavlink import BadFrame, Message, unpack_reading
@@ -115,8 +115,8 @@ def recorded(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple
 
 def read_gas(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, source: GasSource, left_out: Counter[str]
-) -> tuple[list[LoggedGas], list[str]]:
-    """Return the gas values in order of time, and notes; raises FlightError if there are none."""
+) -> list[LoggedGas]:
+    """Return the gas values in order of time; raises FlightError if there are none."""
     said: list[tuple[int, int, int]] = []
     values: list[float] = []
     taken: set[tuple[int, ...]] = set()
@@ -135,11 +135,11 @@ def read_gas(
         values.append(value)
     if not said:
         raise FlightError(_no_gas(log, autopilot, source))
-    notes = [f"gas: {counted(len(said), 'value')} of {source.text}"]
+    log.notes.append(f"gas: {counted(len(said), 'value')} of {source.text}")
     records, components, own_ms = np.array(said, np.int64).T
     times_ms, by_log = _timed(clock, records, components, own_ms)
     if by_log:
-        notes.append(
+        log.notes.append(
             f"gas values from senders without the vehicle's clock: {by_log:,}; their log times are used"
         )
     with np.errstate(over="ignore"):
@@ -157,7 +157,7 @@ def read_gas(
             left_out["repeated" if samples[-1].gas == value else "with the time of another value"] += 1
         else:
             samples.append(sample)
-    return samples, notes
+    return samples
 
 
 def _timed(
@@ -190,20 +190,19 @@ def _no_gas(log: FlightLog, autopilot: Autopilot, source: GasSource) -> str:
     )
 
 
-def read_wind(
-    log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: Pair | None
-) -> tuple[Air, list[str]]:
-    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168), and notes; raises
-    FlightError if none exists.
+def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: Pair | None) -> Air:
+    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168); raises FlightError if
+    none exists.
     """
     if wind is not None:
-        return steady(_from_compass(*wind)), [f"wind: {wind[0]:g} m/s from {wind[1]:g}°, as given"]
+        log.notes.append(f"wind: {wind[0]:g} m/s from {wind[1]:g}°, as given")
+        return steady(_from_compass(*wind))
     for message_id, toward in ((WIND_COV, _wind_cov), (WIND, _wind)):
         said = [(index, toward(m)) for index, m in log.messages(log.select(autopilot.system, (message_id,)))]
         said = [(index, pair) for index, pair in said if all(map(math.isfinite, pair))]
         if said:
-            note = f"wind: {len(said):,} {mavlink.mavlink_map[message_id].msgname}"
-            return _changing(Reported(clock, said)), [note]
+            log.notes.append(f"wind: {len(said):,} {NAMES[message_id]}")
+            return _changing(Reported(clock, said))
     raise FlightError(
         f"system {autopilot.system} sent no wind (WIND_COV or WIND); give it with --wind SPEED,FROM"
     )

@@ -105,9 +105,9 @@ class FlownPath:
 
 def flown(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, foreign: Sequence[int] = ()
-) -> tuple[FlownPath, list[str]]:
-    """Return the path and notes; raises FlightError if the vehicle sent no position. foreign: records of
-    positions in another frame.
+) -> FlownPath:
+    """Return the path; raises FlightError if the vehicle sent no position. foreign: records of positions in
+    another frame.
 
     Fixes come from LOCAL_POSITION_NED (32), else GLOBAL_POSITION_INT (33); from GPS_RAW_INT (24) only if
     neither was ever sent.
@@ -126,14 +126,16 @@ def flown(
             f"system {autopilot.system} sent no position; wanted LOCAL_POSITION_NED, or GLOBAL_POSITION_INT "
             "or GPS_RAW_INT with a fix"
         )
-    notes = [f"positions: {', otherwise '.join(told)}"]
+    log.notes.append(f"positions: {', otherwise '.join(told)}")
     if not len(local):
-        return FlownPath([around], Anchor(home[0], home[1], 0.0, 0.0), False), notes
+        return FlownPath([around], Anchor(home[0], home[1], 0.0, 0.0), False)
     offsets = _offsets(local, around)
     if len(np.unique(local.boots)) > max(1, len(offsets)):
-        notes.append("the local frame is assumed unchanged after each restart without GLOBAL_POSITION_INT")
+        log.notes.append(
+            "the local frame is assumed unchanged after each restart without GLOBAL_POSITION_INT"
+        )
     if not offsets:
-        return FlownPath([local], None, True), notes
+        return FlownPath([local], None, True)
     base = offsets[min(offsets)]
     around.places -= base
     moved = []
@@ -145,11 +147,11 @@ def flown(
                 f"after start {boot + 1} the origin of the local frame is {north:.1f} m north and {east:.1f} "
                 "m east of the first one, by GLOBAL_POSITION_INT: positions are corrected"
             )
-    notes += moved[:LISTED]
+    log.notes += moved[:LISTED]
     if (more := len(moved) - LISTED) > 0:
-        notes.append(f"so it is after {more:,} more starts")
+        log.notes.append(f"so it is after {more:,} more starts")
     anchor = Anchor(home[0], home[1], -float(base[0]), -float(base[1]))
-    return FlownPath([local, around], anchor, True), notes
+    return FlownPath([local, around], anchor, True)
 
 
 def _track(
@@ -270,10 +272,8 @@ class Reported:
         return max(int(np.searchsorted(self.times_ms, time_ms, side="right")) - 1, 0)
 
 
-def flying(
-    log: FlightLog, autopilot: Autopilot, clock: VehicleClock
-) -> tuple[Callable[[float], bool], list[str]]:
-    """Return a function that tells if the vehicle was in the air at a time (ms), and notes.
+def flying(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> Callable[[float], bool]:
+    """Return a function that tells if the vehicle was in the air at a time (ms).
 
     In the air means armed (HEARTBEAT, 0) and not on the ground (EXTENDED_SYS_STATE, 245). A state that was
     never reported is ignored.
@@ -296,4 +296,5 @@ def flying(
     note = "in the air: the log never reports armed or airborne, so all samples are used"
     if words:
         note = f"in the air: samples taken while {' or '.join(words)} are not used"
-    return lambda time_ms: all(bool(state.values[state.last(time_ms)]) for state in states), [note]
+    log.notes.append(note)
+    return lambda time_ms: all(bool(state.values[state.last(time_ms)]) for state in states)
