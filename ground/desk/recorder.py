@@ -24,24 +24,21 @@ from link.record.writer import Writer
 from plume import __version__
 from scene.foxglove import schema_of
 
+# Interval of batches of messages, s: waking up for each message would cost more than writing it.
 BATCH_S = 0.2
-"""Interval of batches of messages, s: waking up for each message would cost more than writing it."""
-FLUSH_S = 0.35
-"""Interval of flushes, s, every second batch: a killed recorder loses 0.4 s."""
+FLUSH_S = 0.35  # interval of flushes, s, every second batch: a killed recorder loses 0.4 s
 SIGNAL_POLL_S = 0.05
-LAST_WORDS_S = 0.5
-"""Longest wait at the end for messages still in transit, s."""
+LAST_WORDS_S = 0.5  # longest wait at the end for messages still in transit, s
+# Zenoh's threads, read by the first session of a process: by default each message passes through four thread
+# pools. Sending keeps its own thread: a receiver may wait for something to be sent first, which would block
+# the router and with it the mission.
 FEW_THREADS = (
     "(rx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1), "
     "tx: (worker_threads: 1))"
 )
-"""Zenoh's threads, read by the first session of a process: by default each message passes through four
-thread pools. Sending keeps its own thread: a receiver may wait for something to be sent first, which would
-block the router and with it the mission."""
+# The flight has priority over its record. With 19 it would cost no less, and beside other work the record
+# would lose its end.
 NICENESS = 5
-"""The flight has priority over its record. With 19 it would cost no less, and beside other work the record
-would lose its end.
-"""
 PACKAGES = ("eclipse-zenoh", "numpy", "pymavlink", "numba", "mcap")
 ROOT = Path(__file__).parents[2]
 

@@ -23,8 +23,7 @@ class RecordedScene:
         self._encoder = SceneEncoder()
         self._slots: dict[int, int] = {}
         self._happening: object = self  # none is this one: the first message gives a scene
-        self.failure = ""
-        """Why there are no more scenes: messages are recorded in any case."""
+        self.failure = ""  # why there are no more scenes: messages are recorded in any case
 
     def take(self, entry: Entry, stamp_ns: int) -> list[Encoded]:
         """Take a message; returns what changed for viewers. `stamp_ns` is the time at which it is

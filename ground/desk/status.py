@@ -23,8 +23,7 @@ from scene.follow.parts import MISSING, OK, REFUSING, STALE, STALE_S, STARTING, 
 
 PARTS = ("uav", "estimator", "agent")
 WATCH_EVERY_S = 1.0
-SHORTEST_STATE = 20
-"""Characters of a part's state that a narrow terminal shows at least."""
+SHORTEST_STATE = 20  # characters of a part's state that a narrow terminal shows at least
 COLOURS = {OK: "green", MISSING: "red", STARTING: "yellow", STALE: "red", REFUSING: "yellow"}
 
 
@@ -34,8 +33,7 @@ class Part:
 
     alive: bool = False
     known_since_s: float = 0.0
-    spoke_s: float = -math.inf
-    """Time of its last new message. The first one may be old, kept by the bus."""
+    spoke_s: float = -math.inf  # Time of its last new message. The first one may be old, kept by the bus.
     health: Health | None = None
 
 

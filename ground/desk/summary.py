@@ -7,8 +7,9 @@ import math
 import statistics
 import sys
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
@@ -18,12 +19,11 @@ from link.terminal import Column, printable, table, tell, width_of
 
 if TYPE_CHECKING:
     from ground.desk.survey import KeyTable, Survey
-    from ground.tlog.sender import FlightLog
+    from ground.tlog.log import FlightLog
     from link.record.reader import LogFile
     from link.record.record import Entry
 
-SHORTEST_KEY = 12
-"""Characters of a key that a narrow terminal shows at least."""
+SHORTEST_KEY = 12  # characters of a key that a narrow terminal shows at least
 
 
 class Row(NamedTuple):
@@ -42,14 +42,16 @@ class Row(NamedTuple):
         }
 
 
+Messages = Iterator[tuple[str, Callable[[], Row]]]  # by their keys, with what makes their rows
+
+
 class Summary(NamedTuple):
     """The summary of a log."""
 
     head: list[str]
     tables: "list[KeyTable]"
     tail: list[str]
-    fields: dict[str, Any]
-    """The same as JSON fields."""
+    fields: dict[str, Any]  # the same as JSON fields
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log",
         metavar="LOG",
         type=Path,
-        help="an .mcap written by a mission or `record`, or any autopilot's .tlog",
+        help="an .mcap written by a mission or `record`, or any autopilot's .tlog, .bin or .ulg",
     )
     output = parser.add_mutually_exclusive_group()
     output.add_argument(
@@ -75,8 +77,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the summary or the CSV; returns the exit status: 1 if pieces of the log are missing."""
     from ground.desk.survey import Survey
     from ground.replay.source import BadSource, is_recording
-    from ground.tlog.flight import open_log
-    from ground.tlog.sender import FlightError
+    from ground.tlog.log import FlightError, open_log
     from link.record.reader import LogFile, RecordError
 
     missing = ""
@@ -84,16 +85,17 @@ def run(args: argparse.Namespace) -> int:
         if is_recording(args.log):
             log = LogFile(args.log)
             if args.csv:
-                names, rows = _columns(log, args.csv), _rows(LogFile(args.log), args.csv)
+                again = _of_record(LogFile(args.log), args.csv)
+                names, rows = _table(_of_record(log), again, args.csv)
             else:
                 summary = _summary(args.log, log, Survey(log))
             missing = f"{args.log} {log.shortcoming}" if log.damage else ""
         else:
-            flown, notes = open_log(args.log)
+            flown = open_log(args.log)
             if args.csv:
-                names, rows = _columns_of_tlog(flown, args.csv), _rows_of_tlog(flown, args.csv)
+                names, rows = _table(_of_flight(flown), _of_flight(flown), args.csv)
             else:
-                summary = _summary_of_tlog(args.log, flown, notes)
+                summary = _summary_of_flight(args.log, flown)
     except (RecordError, FlightError, BadSource, _NoSuchKey) as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
@@ -220,36 +222,12 @@ def _outcome(about: dict[str, Any], survey: "Survey") -> tuple[dict[str, Any], l
     return told, outcome_text(result).splitlines()
 
 
-def _columns(entries: "Iterable[Entry]", name: str) -> list[str]:
-    """Return the columns of a key's table; raises _NoSuchKey that lists the keys."""
-    columns: dict[str, None] = {}
-    keys: dict[str, None] = {}
+def _of_record(entries: "Iterable[Entry]", only: str = "") -> Messages:
+    """Yield the messages of a record; `only` leaves out what cannot be of this key."""
     for entry in entries:
-        for key, fields in _decoded(entry):
-            keys[key] = None
-            if key == name:
-                columns.update(dict.fromkeys(_row(entry, fields).cells()))
-    if name not in keys:
-        raise _NoSuchKey(
-            f"--csv: {name!r} is not allowed; wanted one of "
-            f"{', '.join(sorted(keys)) or 'nothing: the log is empty'}"
-        )
-    return list(columns)
-
-
-def _rows(entries: "Iterable[Entry]", name: str) -> Iterator[Row]:
-    """Yield a key's messages with their fields."""
-    return (
-        _row(entry, fields)
-        for entry in entries
-        if name.startswith(entry.key)
-        for key, fields in _decoded(entry)
-        if key == name
-    )
-
-
-def _row(entry: "Entry", fields: dict[str, Any]) -> Row:
-    return Row(entry.published_ns / 1e9, entry.simulation_s, fields)
+        if only.startswith(entry.key) or not only:
+            for key, fields in _decoded(entry):
+                yield key, partial(Row, entry.published_ns / 1e9, entry.simulation_s, fields)
 
 
 def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
@@ -279,51 +257,63 @@ def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
 # ---- logs of autopilots ----
 
 
-def _summary_of_tlog(path: Path, log: "FlightLog", notes: list[str]) -> Summary:
-    """Return a summary of a .tlog by message type."""
+def _summary_of_flight(path: Path, log: "FlightLog") -> Summary:
+    """Return a summary of an autopilot's log by message type."""
     from ground.desk.survey import KeyTable
+    from ground.tlog.log import NAMES
 
-    kinds = _kinds()
     seconds: dict[str, list[float]] = defaultdict(list)
     for index, message_id in enumerate(log.records.message_ids.tolist()):
-        seconds[kinds.get(message_id, f"unknown {message_id}")].append(log.seconds(index))
+        seconds[NAMES.get(message_id, f"unknown {message_id}")].append(log.seconds(index))
     tables = [KeyTable(kind, times, [], None) for kind, times in sorted(seconds.items())]
     span_s = _span(seconds.values())
     senders = ", ".join(f"{system}/{component}" for system, component in sorted(log.senders()))
     head = [f"{path}: MAVLink of system/component {senders}", f"{len(log):,} messages in {span_s:.1f} s"]
     counts = {table.name: {"messages": len(table.published_s)} for table in tables}
-    return Summary(
-        head,
-        tables,
-        notes,
-        {"log": str(path), "messages": len(log), "duration_s": span_s, "keys": counts, "notes": notes},
-    )
+    fields = {
+        "log": str(path),
+        "messages": len(log),
+        "duration_s": span_s,
+        "keys": counts,
+        "notes": log.notes,
+    }
+    return Summary(head, tables, log.notes, fields)
 
 
-def _kinds() -> dict[int, str]:
-    """Return the names of all message types, by number."""
-    from pymavlink.dialects.v20 import all as mavlink
+def _of_flight(log: "FlightLog") -> Messages:
+    """Yield the messages of an autopilot's log."""
+    from ground.tlog.log import NAMES
 
-    return {message_id: message.msgname for message_id, message in mavlink.mavlink_map.items()}
-
-
-def _columns_of_tlog(log: "FlightLog", name: str) -> list[str]:
-    """Return the columns of a message type's table; raises _NoSuchKey that lists the types."""
-    kinds = _kinds()
-    known = {kinds[message_id] for message_id in set(log.records.message_ids.tolist()) if message_id in kinds}
-    if name not in known:
-        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {', '.join(sorted(known))}")
-    return list(dict.fromkeys(column for row in _rows_of_tlog(log, name) for column in row.cells()))
+    for index, message_id in enumerate(log.records.message_ids.tolist()):
+        if message_id in NAMES:
+            yield NAMES[message_id], partial(_row, log, index)
 
 
-def _rows_of_tlog(log: "FlightLog", name: str) -> Iterator[Row]:
-    """Yield the messages of a type."""
-    for index, message in log.messages(
-        log.select(None, [message_id for message_id, kind in _kinds().items() if kind == name])
-    ):
-        fields = message.to_dict()
-        del fields["mavpackettype"]
-        yield Row(float(log.times_us[index]) / 1e6, math.nan, {**fields, "system": message.get_srcSystem()})
+def _row(log: "FlightLog", index: int) -> Row:
+    message = log.message(index)
+    fields = {name: getattr(message, name) for name in message.get_fieldnames()}
+    fields["system"] = message.get_srcSystem()
+    return Row(float(log.times_us[index]) / 1e6, math.nan, fields)
+
+
+# ---- one table as CSV ----
+
+
+def _table(first: Messages, again: Messages, name: str) -> tuple[list[str], Iterator[Row]]:
+    """Return the columns and the rows of a key, from two ways through the log: the rows are not kept.
+
+    Raises _NoSuchKey that lists the keys.
+    """
+    columns: dict[str, None] = {}
+    keys: dict[str, None] = {}
+    for key, row in first:
+        keys[key] = None
+        if key == name:
+            columns.update(dict.fromkeys(row().cells()))
+    if name not in keys:
+        known = ", ".join(sorted(keys)) or "nothing: the log is empty"
+        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {known}")
+    return list(columns), (row() for key, row in again if key == name)
 
 
 # ---- printing ----

@@ -18,14 +18,10 @@ from link.record.record import Entry, began_s
 from link.terminal import printable
 from plume.outcome import TracePoint
 
-PAUSE_S = 2.0
-"""A longer silence of the whole bus is reported, s: telemetry comes every second."""
-LISTED = 5
-"""Number of items of a kind that are listed; the rest is counted."""
-LONGEST = 120
-"""Longest description of an unreadable message, characters."""
-MOST_REASONS = 1000
-"""So many descriptions of unreadable messages are told apart."""
+PAUSE_S = 2.0  # A longer silence of the whole bus is reported, s: telemetry comes every second
+LISTED = 5  # number of items of a kind that are listed; the rest is counted
+LONGEST = 120  # longest description of an unreadable message, characters
+MOST_REASONS = 1000  # so many descriptions of unreadable messages are told apart
 
 
 class KeyTable(NamedTuple):
@@ -34,8 +30,7 @@ class KeyTable(NamedTuple):
     name: str
     published_s: Sequence[float]
     simulation_s: Sequence[float]
-    repeats: int | None
-    """Number of repeated messages; None where repeats mean nothing."""
+    repeats: int | None  # number of repeated messages; None where repeats mean nothing
 
 
 class Alive(msgspec.Struct):
@@ -51,16 +46,14 @@ class Survey:
         """Take all messages."""
         self.published_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self.simulation_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
+        # The times of all readings, ms; `answered` has those of beliefs, as time_boot_ms, which wraps.
         self.asked: set[int] = set()
-        """The times of all readings, ms; `answered` has those of beliefs, as time_boot_ms, which wraps."""
         self.answered: set[int] = set()
-        self.trace: dict[int, TracePoint] = {}
-        """By step, what the first belief of the step says."""
-        self.last: Belief | None = None
-        """The first belief of the last step."""
+        self.trace: dict[int, TracePoint] = {}  # by step, what the first belief of the step says
+        self.last: Belief | None = None  # the first belief of the last step
         self.restarts: Counter[str] = Counter()
+        # Digests of the messages of the keys whose repeats mean something.
         self._told: dict[str, set[bytes]] = {"reading": set(), "belief": set(), "agdc/stop": set()}
-        """Digests of the messages of the keys whose repeats mean something."""
         self._up_s: dict[str, float] = {}
         self._unreadable: Counter[str] = Counter()
         self._reasons: dict[str, dict[str, None]] = defaultdict(dict)

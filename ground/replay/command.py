@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from ground.replay.verify import Rules
 
 
+# Flags for reading an autopilot's log.
 READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume")
-"""Flags for reading an autopilot's log."""
+# Flags passed on to the estimator.
 FILTER_FLAGS = (
     "particles",
     "assume",
@@ -37,7 +38,6 @@ FILTER_FLAGS = (
     "sensor",
     "seed",
 )
-"""Flags passed on to the estimator."""
 
 
 class _Unset:
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log",
         metavar="LOG",
         type=Path,
-        help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog",
+        help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog, .bin or .ulg",
     )
     parser.add_argument(
         "-e",

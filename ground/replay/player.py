@@ -22,20 +22,16 @@ from sitl.launch.child import Ended, LogLine, raise_for
 from sitl.launch.processes import Processes, secure_words
 from sitl.launch.progress import Progress, pace
 
-ANSWER_TIMEOUT_S = 10.0
-"""Longest wait for an answer, s of real time, or three times the longest recorded one."""
-SETTLE_S = 0.3
-"""Wait for unexpected answers at the end, s of real time, or twice the longest answer time."""
+ANSWER_TIMEOUT_S = 10.0  # longest wait for an answer, s of real time, or three times the longest recorded one
+SETTLE_S = 0.3  # wait for unexpected answers at the end, s of real time, or twice the longest answer time
 
 
 class Replayed(NamedTuple):
     """The result of one replay."""
 
-    counts: dict[str, int]
-    """Number of different messages received, by kind."""
+    counts: dict[str, int]  # number of different messages received, by kind
     last: Belief | None
-    ceased_at: int | None
-    """The step at which the search ceased."""
+    ceased_at: int | None  # the step at which the search ceased
     difference: Difference | None
 
 
@@ -88,8 +84,7 @@ class Player:
         self._awaited = deque(key for key in source.then if key[1] in available)
         self._services = {SERVICES[kind] for _, kind in self._awaited} if source.recorded else {"estimator"}
         self._present: set[str] = set()
-        self._due: set[tuple[int, str]] = set()
-        """Answers still missing for what has been published."""
+        self._due: set[tuple[int, str]] = set()  # answers still missing for what has been published
         self._given_up: set[str] = set()
         self._patience_s = max(ANSWER_TIMEOUT_S, 3 * source.slowest_s)
         self._slowest_s = 0.0

@@ -9,12 +9,11 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+# A name, perhaps with numbers: no flag, no path.
 Plain = Annotated[str, Meta(pattern=r"\A[A-Za-z][\w:=.,+ -]*\Z", max_length=200)]
-"""A name, perhaps with numbers: no flag, no path."""
+# The name of a policy, not the file of one.
 Named = Annotated[str, Meta(pattern=r"\A[A-Za-z][\w+.-]*(?<!\.zip)\Z", max_length=200)]
-"""The name of a policy, not the file of one."""
-Waypoints = Annotated[str, Meta(pattern=r"\A\d+:[\d.,;e+-]*\Z")]
-"""STEP:X,Y;X,Y;..."""
+Waypoints = Annotated[str, Meta(pattern=r"\A\d+:[\d.,;e+-]*\Z")]  # STEP:X,Y;X,Y;..
 
 
 class _Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename="kebab", omit_defaults=True):
@@ -53,8 +52,7 @@ class Agent(_Settings, frozen=True):
 
 KINDS: dict[str, type[_Settings]] = {"estimator": Estimator, "agent": Agent}
 REPEATED = ("prior", "waypoints")
-LONGEST = 80
-"""Characters of a word that are quoted."""
+LONGEST = 80  # characters of a word that are quoted
 
 
 def words(service: str, recorded: list[str]) -> list[str]:

@@ -12,7 +12,7 @@ import msgspec
 from ground.replay import settings, verify
 from ground.replay.verify import Answer, Rules
 from ground.tlog import flight
-from ground.tlog.sender import FlightError
+from ground.tlog.log import FlightError
 from link.bus.keys import HEALTH, MAVLINK_OUT, READING
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.record.reader import RecordError, is_record, read
@@ -22,19 +22,17 @@ from plume.worlds import AS_MODELLED
 from sitl.script import script
 from sitl.script.typed_yaml import FileError
 
+# The keys that a vehicle publishes on, by their names in a log.
 VEHICLE_KEYS = {
     READING.name: READING,
     MAVLINK_OUT.name: MAVLINK_OUT,
     HEALTH.name.replace("<service>", "uav"): HEALTH,
 }
-"""The keys that a vehicle publishes on, by their names in a log."""
+# The service that sends each kind of answer.
 SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
-"""The service that sends each kind of answer."""
 
-OURS = "uav/1"
-"""The namespace of the first vehicle."""
-OVERTAKE_NS = 500_000_000
-"""Largest time by which messages overtake each other on their way into a log, ns."""
+OURS = "uav/1"  # the namespace of the first vehicle
+OVERTAKE_NS = 500_000_000  # largest time by which messages overtake each other on their way into a log, ns
 
 
 class BadSource(ValueError):
@@ -45,35 +43,24 @@ class Source(NamedTuple):
     """What is replayed, and the services to start."""
 
     path: Path
-    entries: list[Entry]
-    """The vehicle's messages in the order of publication."""
+    entries: list[Entry]  # the vehicle's messages in the order of publication
+    # The recorded answers of the services; empty for an autopilot's log.
     then: Mapping[tuple[int, str], Answer]
-    """The recorded answers of the services; empty for an autopilot's log."""
-    parts: Mapping[str, list[str]]
-    """The services to start, with their command lines."""
+    parts: Mapping[str, list[str]]  # the services to start, with their command lines
     namespace: str
-    recorded: bool
-    """True: a recording of the bus. False: an autopilot's log."""
+    recorded: bool  # True: a recording of the bus. False: an autopilot's log.
+    # Why a service cannot be started as the record says, one line each.
     unfit: Mapping[str, str] = MappingProxyType({})
-    """Why a service cannot be started as the record says, one line each."""
+    # The log has all answers to readings up to this time; if it was cut off or damaged, later ones may lack
+    # some.
     sure_ms: float = math.inf
-    """The log has all answers to readings up to this time; if it was cut off or damaged, later ones may
-    lack some.
-    """
-    sure_ns: float = math.inf
-    """Up to this time of publication it lacks nothing."""
-    damaged: bool = False
-    """Whether pieces of it are missing."""
-    slowest_s: float = 0.0
-    """The longest recorded answer time."""
-    budget: float = math.inf
-    """The agent's step budget."""
-    truth: tuple[float, float] | None = None
-    """True location of the source, m; None if unknown."""
-    world: str = AS_MODELLED
-    """How the truth differs from what the estimator was told; as modelled if unknown."""
-    notes: tuple[str, ...] = ()
-    """Remarks on the log, one line each."""
+    sure_ns: float = math.inf  # up to this time of publication it lacks nothing
+    damaged: bool = False  # whether pieces of it are missing
+    slowest_s: float = 0.0  # the longest recorded answer time
+    budget: float = math.inf  # the agent's step budget
+    truth: tuple[float, float] | None = None  # true location of the source, m; None if unknown
+    world: str = AS_MODELLED  # how the truth differs from what the estimator was told; as modelled if unknown
+    notes: tuple[str, ...] = ()  # remarks on the log, one line each
 
 
 class _Release(msgspec.Struct, frozen=True):
@@ -124,25 +111,25 @@ def recording(path: Path, bundle: str | None = None) -> Source:
     notes: tuple[str, ...] = ()
     sure_ms = sure_ns = math.inf
     sound = log.entries[: log.damage[0].before] if log.damage else log.entries
+    then = verify.said(sound)
+    asked: dict[int, int] = {}  # by the time of a reading, when it was published first
+    for entry in sound:
+        if entry.key == READING.name and (time_ms := reading_time(entry)) is not None:
+            asked.setdefault(time_ms, entry.published_ns)
     if not log.complete:
         end_s = max((entry.simulation_s for entry in sound), default=0.0)
         notes = (f"{path} is cut off: replayed up to its end at {end_s:.2f} s",)
         if log.damage:
             notes = (f"warning: {path} {log.shortcoming}; --verify compares up to {end_s:.2f} s",)
         sure_ns = max((entry.published_ns for entry in sound), default=0)
-        early = [
-            entry
-            for entry in sound
-            if entry.key == READING.name and entry.published_ns <= sure_ns - OVERTAKE_NS
-        ]
-        sure_ms = max((time for time in map(reading_time, early) if time is not None), default=-1)
+        sure_ms = max((time for time, ns in asked.items() if ns <= sure_ns - OVERTAKE_NS), default=-1)
     return Source(
         path,
         sorted(
             (entry for entry in log.entries if entry.key in VEHICLE_KEYS),
             key=lambda entry: entry.published_ns,
         ),
-        verify.said(sound),
+        then,
         parts,
         told.namespace,
         recorded=True,
@@ -150,23 +137,16 @@ def recording(path: Path, bundle: str | None = None) -> Source:
         sure_ms=sure_ms,
         sure_ns=sure_ns,
         damaged=bool(log.damage),
-        slowest_s=_slowest_s(log.entries),
+        slowest_s=max(
+            (each.published_ns - asked.get(each.time_ms, each.published_ns) for each in then.values()),
+            default=0,
+        )
+        / 1e9,
         budget=math.inf if told.budget is None else told.budget,
         truth=told.scenario.source,
         world=told.mission.world,
         notes=notes,
     )
-
-
-def _slowest_s(entries: list[Entry]) -> float:
-    asked: dict[int | None, int] = {}
-    answered: dict[tuple[int, str], int] = {}
-    for entry in entries:
-        if entry.key == READING.name:
-            asked.setdefault(reading_time(entry), entry.published_ns)
-        for answer in verify.recorded(entry):
-            answered.setdefault((answer.time_ms, answer.kind), entry.published_ns)
-    return max((ns - asked[time] for (time, _), ns in answered.items() if time in asked), default=0) / 1e9
 
 
 def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
@@ -255,35 +235,46 @@ def _refuse(
     args: argparse.Namespace, recorded: bool, chosen: Mapping[str, Any], filtering: Mapping[str, Any]
 ) -> None:
     """Raise BadSource on a flag that would have no effect here."""
-    for name in (*chosen, *filtering) if recorded else ():
-        raise BadSource(
-            f"--{name.replace('_', '-')}: not allowed with {args.log}: a recording has its own settings"
-        )
-    for name in filtering if args.connect else ():
-        raise BadSource(
-            f"--{name.replace('_', '-')}: not allowed with --connect: the estimator there has its own "
-            "settings"
-        )
-    if args.policy and (args.connect or not recorded):
-        raise BadSource("--policy: only allowed where the agent of a recording is started")
-    for name, value in () if args.verify else (("ignore", args.ignore), ("tolerance", args.tolerance)):
-        if value:
-            raise BadSource(f"--{name}: only allowed with --verify")
-    if args.loop and args.connect:
-        raise BadSource(
-            "--loop: not allowed with --connect: an estimator accepts the same readings only once"
-        )
-    if args.verify and not recorded:
-        raise BadSource(
-            f"--verify: not allowed with {args.log}: an autopilot's log holds no answers to compare with"
-        )
-    if args.verify and args.from_s:
-        raise BadSource(
+    flags = {name: f"--{name.replace('_', '-')}" for name in (*chosen, *filtering)}
+    rules = [
+        *(
+            (recorded, f"{flag}: not allowed with {args.log}: a recording has its own settings")
+            for flag in flags.values()
+        ),
+        *(
+            (
+                args.connect,
+                f"{flags[name]}: not allowed with --connect: the estimator there has its own settings",
+            )
+            for name in filtering
+        ),
+        (
+            args.policy and (args.connect or not recorded),
+            "--policy: only allowed where the agent of a recording is started",
+        ),
+        (args.ignore and not args.verify, "--ignore: only allowed with --verify"),
+        (args.tolerance and not args.verify, "--tolerance: only allowed with --verify"),
+        (
+            args.loop and args.connect,
+            "--loop: not allowed with --connect: an estimator accepts the same readings only once",
+        ),
+        (
+            args.verify and not recorded,
+            f"--verify: not allowed with {args.log}: an autopilot's log holds no answers to compare with",
+        ),
+        (
+            args.verify and args.from_s,
             f"--from: {args.from_s:g} is not allowed with --verify; wanted 0: a belief depends on all "
-            "readings before it"
-        )
-    if args.from_s > args.to_s:
-        raise BadSource(f"--to: {args.to_s:g} is not allowed; wanted at least --from, {args.from_s:g}")
+            "readings before it",
+        ),
+        (
+            args.from_s > args.to_s,
+            f"--to: {args.to_s:g} is not allowed; wanted at least --from, {args.from_s:g}",
+        ),
+    ]
+    for broken, text in rules:
+        if broken:
+            raise BadSource(text)
 
 
 def _cut(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:

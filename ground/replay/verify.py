@@ -15,8 +15,8 @@ from link.bus.mavlink import BadFrame, nearest, unpack
 from link.bus.messages import Belief, Stop
 from link.record.record import Entry
 
+# Kinds of answers to a reading and their keys, in the order of publication.
 KINDS = {"stop": STOP.name, "belief": BELIEF.name, "waypoint": WAYPOINT.name}
-"""Kinds of answers to a reading and their keys, in the order of publication."""
 PARTICLES = "particles"
 SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message
 FIELDS: Mapping[str, tuple[str, ...]] = {
@@ -24,19 +24,18 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "belief": (*Belief.__struct_fields__, PARTICLES),
     "waypoint": tuple(SETPOINT.fieldnames),
 }
-YOUNG = ("assume", "stop", "evidence")
-"""Fields that older records lack; then they are not compared."""
+LATER = ("assume", "stop", "evidence")  # fields that older records lack; then they are not compared
+# Fields shown of a message that only one side has.
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}
-"""Fields shown of a message that only one side has."""
 
 
 class Answer(NamedTuple):
     """One answer of a service to one reading."""
 
     kind: str
-    time_ms: int
-    """Time of the reading that it answers."""
+    time_ms: int  # time of the reading that it answers
     fields: dict[str, Any]
+    published_ns: int = 0  # of a log's
 
     def near(self, time_ms: float) -> "Answer":
         """Return it with its time near to another of the vehicle's, ms: so its time goes on where
@@ -50,10 +49,8 @@ class Difference(NamedTuple):
 
     kind: str
     time_ms: int
-    step: int | None
-    """None where no belief says it."""
-    field: str
-    """The value that differs; empty if only one side has the message."""
+    step: int | None  # none where no belief says it
+    field: str  # the value that differs; empty if only one side has the message
     was: Any
     now: Any
 
@@ -85,10 +82,8 @@ class Difference(NamedTuple):
 class Rules(NamedTuple):
     """Differences that are accepted."""
 
-    ignored: frozenset[str] = frozenset()
-    """Kinds, and fields as KIND.FIELD."""
-    tolerance: float = 0.0
-    """Largest difference of numbers that is accepted."""
+    ignored: frozenset[str] = frozenset()  # kinds, and fields as KIND.FIELD
+    tolerance: float = 0.0  # largest difference of numbers that is accepted
 
 
 EXACTLY = Rules()
@@ -123,9 +118,10 @@ def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
 
 def recorded(entry: Entry) -> list[Answer]:
     """Return the answers in a message of a log."""
+    said_now = answers(entry.key, entry.payload, entry.attachment)
     return [
-        answer.near(1000 * entry.simulation_s)
-        for answer in answers(entry.key, entry.payload, entry.attachment)
+        answer.near(1000 * entry.simulation_s)._replace(published_ns=entry.published_ns)
+        for answer in said_now
     ]
 
 
@@ -183,7 +179,7 @@ def difference(
     if was is None or now is None:
         return Difference(*where, "", _headline(was), _headline(now))
     for name in dict.fromkeys((*was.fields, *now.fields)):
-        if f"{one.kind}.{name}" in rules.ignored or (name in YOUNG and name not in was.fields):
+        if f"{one.kind}.{name}" in rules.ignored or (name in LATER and name not in was.fields):
             continue
         if found := _first(name, was.fields.get(name), now.fields.get(name), rules.tolerance):
             return Difference(*where, *found)
@@ -264,31 +260,23 @@ def _float32(value: Any) -> Any:
 
 def _first(name: str, was: Any, now: Any, tolerance: float) -> tuple[str, Any, Any] | None:
     """Return the first value that differs, with its full name."""
-    if isinstance(was, np.ndarray) and isinstance(now, np.ndarray):
-        return _first_of_rows(name, was, now, tolerance)
+    if isinstance(was, np.ndarray) and isinstance(now, np.ndarray) and was.shape == now.shape:
+        if was.tobytes() == now.tobytes():
+            return None
+        was, now = _rows(was), _rows(now)
     if isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
-        pairs = zip(was, now, strict=True)
-        return next(
-            (found for i, (a, b) in enumerate(pairs) if (found := _first(f"{name}[{i}]", a, b, tolerance))),
-            None,
-        )
+        pairs = enumerate(zip(was, now, strict=True))
+        found = (_first(f"{name}[{place}]", a, b, tolerance) for place, (a, b) in pairs)
+        return next(filter(None, found), None)
     if _is_number(was) and _is_number(now):
         return None if _same(was, now, tolerance) else (name, was, now)
-    return None if type(was) is type(now) and was == now else (name, _plain(was), _plain(now))
-
-
-def _first_of_rows(
-    name: str, was: "np.ndarray[Any, Any]", now: "np.ndarray[Any, Any]", tolerance: float
-) -> tuple[str, Any, Any] | None:
-    if was.shape != now.shape:
-        return name, _plain(was), _plain(now)
-    if was.tobytes() == now.tobytes():
+    if type(was) is type(now) and not isinstance(was, np.ndarray) and was == now:
         return None
-    for row, column in np.ndindex(was.shape):
-        a, b = float(was[row, column]), float(now[row, column])
-        if not _same(a, b, tolerance):
-            return f"{name}[{row}][{column}]", _float32(a), _float32(b)
-    return None
+    return name, _plain(was), _plain(now)
+
+
+def _rows(array: "np.ndarray[Any, Any]") -> list[list[float]]:
+    return [[_float32(value) for value in row] for row in array]
 
 
 def _is_number(value: Any) -> bool:
@@ -315,14 +303,8 @@ def _headline(answer: Answer | None) -> dict[str, Any] | None:
 
 
 def _text(value: Any) -> str:
-    if value is None:
-        return "none"
     if isinstance(value, dict):
         return ", ".join(f"{name} {_text(each)}" for name, each in value.items())
-    return (
-        value
-        if isinstance(value, str)
-        else msgspec.json.encode(value).decode()
-        if not isinstance(value, float)
-        else repr(value)
-    )
+    if isinstance(value, str | float):
+        return value if isinstance(value, str) else repr(value)
+    return "none" if value is None else msgspec.json.encode(value).decode()

@@ -1,4 +1,4 @@
-"""Reads the telemetry log of any ArduPilot or PX4 vehicle as the readings of a search.
+"""Reads the log of any ArduPilot or PX4 vehicle (.tlog, .bin, .ulg) as the readings of a search.
 
 Imports: plume, link.bus, link.record.
 """

@@ -1,24 +1,18 @@
-"""Reads the telemetry log of any ArduPilot or PX4 vehicle: the readings of a search, and all frames that
-the vehicle sent.
-"""
+"""Reads the log of a vehicle as a flight: the readings of a search, and all frames that the vehicle sent."""
 
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from pymavlink.dialects.v20 import all as mavlink
 
-from ground.tlog import clock as clocks
-from ground.tlog import sender, track
-from ground.tlog.clock import Floats, VehicleClock
-from ground.tlog.recorded import Recorded
-from ground.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wind, steady
-from ground.tlog.sender import AUTOPILOT, Autopilot, FlightError, FlightLog, counted, few
-from ground.tlog.track import Anchor, FlownPath, Place
+from ground.tlog import track
+from ground.tlog.clock import Floats, VehicleClock, vehicle_clock
+from ground.tlog.log import AUTOPILOT, Autopilot, FlightError, FlightLog, choose, open_log
+from ground.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wind, recorded, steady
+from ground.tlog.track import Anchor, FlownPath, NorthEastUp
 from link.bus.keys import MAVLINK_OUT, READING
 from link.bus.mavlink import GAS_NAME, WRAP_MS, Codec, Reading, pack_reading
 from link.record.record import Entry
@@ -26,37 +20,29 @@ from plume.geodesy import to_global
 from plume.scenario import AREA_M
 from plume.world import World, float32
 
-MARGIN_M = 2.0
-"""Between the path and the edge of a search area that is fitted to it."""
+MARGIN_M = 2.0  # between the path and the edge of a search area that is fitted to it
 STRONGEST_MPS = 100.0
 EVERY_S = 1.0
-LEAST_EVERY_S = 0.001
-"""Reading times are whole milliseconds."""
+LEAST_EVERY_S = 0.001  # reading times are whole milliseconds
 
 
 class Origin(NamedTuple):
     """The south-west corner of the search area."""
 
-    north_m: float
-    """North and east of the origin of the log's local frame."""
+    north_m: float  # from the origin of the log's local frame
     east_m: float
-    lat_deg: float | None
-    """None if no message ties the local frame to the globe."""
+    lat_deg: float | None  # None if no message ties the local frame to the globe
     lon_deg: float | None
 
 
-class Flight(NamedTuple):
-    """A flight as a mission: the readings for an estimator, and all frames that the vehicle sent."""
+class LoggedFlight(NamedTuple):
+    """A flight as a mission."""
 
-    entries: list[Entry]
-    """The readings and every original frame of the vehicle, in order of time."""
-    system: int
-    """The vehicle's system id; the readings' frames carry it too."""
-    area_m: float
-    """Side of the search area."""
+    entries: list[Entry]  # the readings and every original frame of the vehicle, in order of time
+    system: int  # the vehicle's system id; the readings' frames carry it too
+    area_m: float  # side of the search area
     origin: Origin
-    notes: list[str]
-    """What was read, what was left out and why, in lines for people."""
+    notes: list[str]  # what was read, what was left out and why, in lines for people
 
 
 def read(
@@ -69,58 +55,56 @@ def read(
     origin: Pair | None = None,
     area_m: float | None = None,
     plume: World | None = None,
-) -> Flight:
+) -> LoggedFlight:
     """Read a flight; raises FlightError if it yields no readings or an argument is not allowed.
 
     system: the vehicle's system id; default: the autopilot with the most positions. gas: see `parse_gas`.
     wind: (speed in m/s, direction it comes from in degrees clockwise from north), instead of the log's
-    wind.
-    every_s: at most one reading per this time; default: `EVERY_S`, but all readings of a search's own
-    record.
-    plume: a simulated world to take gas and wind from, instead of the log. origin: (north, east) in m of
-    the search area's south-west corner in the log's local frame;
-    default: home if all readings lie in the area then, else around the path. area_m: the side of the area.
+    wind. every_s: at most one reading per this time; default: `EVERY_S`, but all readings of a search's own
+    record. plume: a simulated world to take gas and wind from, instead of the log. origin: (north, east) in m
+    of the search area's south-west corner in the log's local frame; default: home if all readings lie in the
+    area then, else around the path. area_m: the side of the area.
     """
-    source = parse_gas(gas)
     _check(wind, every_s, origin, area_m, plume)
-    log, notes = open_log(path)
-    autopilot = sender.choose(log, system)
-    notes += sender.notes_on_senders(log, autopilot)
-    clock, told = clocks.vehicle_clock(log, autopilot)
-    notes += told
-    own = Recorded(log, autopilot, clock)
-    flown, told = track.flown(log, autopilot, clock, own.fixes)
-    notes += told
-    flying, told = track.flying(log, autopilot, clock)
-    notes += told
-    home = track.home(log, autopilot, clock, flying, flown.anchor)
+    log = open_log(path, gas)
+    source = parse_gas(gas, log.is_onboard)
+    autopilot = choose(log, system)
+    clock = vehicle_clock(log, autopilot)
+    own, foreign = recorded(log, autopilot, clock)
+    flown = track.flown(log, autopilot, clock, foreign)
+    flying = track.flying(log, autopilot, clock)
+    home = track.home(log, autopilot, clock, flying, flown)
     left_out: Counter[str] = Counter()
-    at: Where = flown.at
-    air: Air
-    every = every_s or EVERY_S
-    if own.samples and not plume and wind is None and gas == GAS_NAME:
-        samples, air, told = own.samples, own.air, ["gas, wind and positions: readings of a search"]
+    every, air = every_s or EVERY_S, steady((0.0, 0.0))
+    if own and not plume and wind is None and gas == GAS_NAME:
         home = home or (0.0, 0.0)
-        at, every = own.around(home), every_s or LEAST_EVERY_S
+        every, samples = every_s or LEAST_EVERY_S, [_in_local_frame(each, home) for each in own]
+        log.notes.append("gas, wind and positions: readings of a search")
     elif plume:
-        samples, told = _along(flown, clock, every)
-        air = steady(plume.wind)
+        air, samples = steady(plume.wind), _along(flown, clock, every)
+        log.notes.append("gas and wind: simulated along the path")
     else:
-        samples, told = read_gas(log, autopilot, clock, source, left_out)
-        notes += told
-        air, told = read_wind(log, autopilot, clock, wind)
-    notes += told
-    taken = _take(samples, every, flying, at, air, left_out)
-    side_m, corner = _area([place for _, place, _ in taken], origin, area_m, plume is not None, home)
+        samples = read_gas(log, autopilot, clock, source, left_out)
+        air = read_wind(log, autopilot, clock, wind)
+    taken = _take(samples, every, flying, flown, air, left_out)
+    places = [place for _, place, _ in taken]
+    if plume:
+        side_m, corner = _area(places, origin, area_m or AREA_M, None)
+    else:
+        side_m, corner = _area(places, origin, area_m, home)
     readings = _readings(taken, corner, side_m, plume, left_out)
+    out = ", ".join(f"{count:,} {what}" for what, count in left_out.items())
     if not readings:
         raise FlightError(
-            f"{path}: none of the {len(samples):,} samples can be a reading; left out: "
-            f"{_listed(left_out) or 'none'}"
+            f"{path}: none of the {len(samples):,} samples can be a reading; left out: {out or 'none'}"
         )
     where = _where(corner, flown.anchor)
-    notes += _notes_on_readings([reading for reading, _ in readings], left_out, every, side_m, where)
-    return Flight(_entries(log, autopilot, clock, readings), autopilot.system, side_m, where, notes)
+    log.notes.append(_note_on_readings([reading for reading, _ in readings], every))
+    log.notes += [f"left out: {out}"] * bool(out)
+    globe = "" if where.lat_deg is None else f" ({where.lat_deg:.7f}, {where.lon_deg:.7f})"
+    south_west = f"{where.north_m:g} m north and {where.east_m:g} m east of the local origin{globe}"
+    log.notes.append(f"area: side {side_m:g} m, south-west corner {south_west}")
+    return LoggedFlight(_entries(log, autopilot, clock, readings), autopilot.system, side_m, where, log.notes)
 
 
 def _check(
@@ -141,89 +125,22 @@ def _check(
         raise FlightError(f"an area of {area_m:g} m is not allowed; wanted a number above 0")
 
 
-# ---- the file ----
-
-
-def open_log(path: Path) -> tuple[FlightLog, list[str]]:
-    """Return a log's records and notes about the file; raises FlightError if it cannot be read or contains
-    no MAVLink frame.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FlightError(f"{path} cannot be read: {error.strerror}") from None
-    log = FlightLog(data)
-    if not len(log):
-        raise FlightError(
-            f"{path} contains no MAVLink 1 or 2 frame; wanted a telemetry log (.tlog), as ground stations "
-            "write it"
-        )
-    return log, _notes_on_file(path.name, log)
-
-
-def _notes_on_file(name: str, log: FlightLog) -> list[str]:
-    records, clock = log.records, log.clock
-    version_1 = sum(log.data[start] == mavlink.PROTOCOL_MARKER_V1 for start in records.starts.tolist())
-    versions = " and ".join(
-        version for version, count in (("1", version_1), ("2", len(log) - version_1)) if count
-    )
-    began = datetime.fromtimestamp(int(log.times_us[0]) / 1e6, UTC)
-    span = f" in {log.seconds(-1):,.1f} s from {began:%Y-%m-%d %H:%M:%S} UTC" if log.is_timed else ""
-    notes = [f"{name}: {counted(len(log), 'frame')} of MAVLink {versions}{span}"]
-    if records.garbage:
-        amount, first = sum(count for _, count in records.garbage), min(records.garbage[0][0], len(log) - 1)
-        runs = counted(len(records.garbage), "run")
-        notes.append(
-            f"skipped: {counted(amount, 'byte')} of garbage in {runs}, "
-            f"the first at {log.seconds(first):.1f} s"
-        )
-    if records.refused:
-        notes.append(
-            "among them, frames with a wrong checksum (damaged or from another dialect): "
-            f"{few(_by_message(records.refused))}"
-        )
-    if records.unknown:
-        notes.append(
-            "frames of unknown messages, whose checksums cannot be verified: "
-            f"{few(_by_message(records.unknown))}"
-        )
-    if records.cut_off:
-        notes.append(f"the last record is cut off after {counted(records.cut_off, 'byte')}")
-    if log.is_timed and clock.damaged:
-        notes.append(
-            f"frames with a missing or impossible time: {clock.damaged:,}; each takes the time of the frame "
-            "before it"
-        )
-    if clock.jumps:
-        jumps = [f"{back_us / 1e6:,.1f} s at {log.seconds(index):.1f} s" for index, back_us in clock.jumps]
-        notes.append(f"the log's clock jumps back by {few(jumps)}: later times are corrected")
-    return notes
-
-
-def _by_message(counts: Counter[int]) -> list[str]:
-    known = mavlink.mavlink_map
-    return [
-        f"{count:,} {known[number].msgname if number in known else f'of id {number}'}"
-        for number, count in counts.most_common()
-    ]
-
-
-# ---- readings ----
-
-
-Where = Callable[[float], Place | None]
-"""Maps the vehicle's time in ms to its place; None if unknown."""
-
-
 class Taken(NamedTuple):
-    """A sample that can become a reading, with its place and wind."""
+    """A sample that can become a reading, with its place in the local frame and its wind."""
 
     sample: LoggedGas
-    place: Place
+    place: NorthEastUp
     wind: Pair
 
 
-def _along(path: FlownPath, clock: VehicleClock, every_s: float) -> tuple[list[LoggedGas], list[str]]:
+def _in_local_frame(sample: LoggedGas, home: Pair) -> LoggedGas:
+    """Return a recorded reading with its place from the local frame's origin instead of from home."""
+    assert sample.place is not None
+    north, east, up = sample.place
+    return sample._replace(place=(home[0] + north, home[1] + east, up))
+
+
+def _along(path: FlownPath, clock: VehicleClock, every_s: float) -> list[LoggedGas]:
     """Return samples for simulated readings: every `every_s`, wherever the path has fixes."""
     every_ms = 1000.0 * every_s
     lines = [line for track in path.tracks for line in track.lines()]
@@ -233,18 +150,15 @@ def _along(path: FlownPath, clock: VehicleClock, every_s: float) -> tuple[list[L
         for begin, end in lines
     ]
     times_ms: Floats = first + every_ms * np.unique(np.concatenate(numbers)).astype(np.float64)
-    samples = [
-        LoggedGas(round(time), us, 0.0)
-        for time, us in zip(times_ms.tolist(), clock.logged_us(times_ms).tolist(), strict=True)
-    ]
-    return samples, ["gas and wind: simulated along the path"]
+    logged_us = clock.logged_us(times_ms).tolist()
+    return [LoggedGas(round(time), us, 0.0) for time, us in zip(times_ms.tolist(), logged_us, strict=True)]
 
 
 def _take(
     samples: Sequence[LoggedGas],
     every_s: float,
     flying: Callable[[float], bool],
-    at: Where,
+    path: FlownPath,
     air: Air,
     left_out: Counter[str],
 ) -> list[Taken]:
@@ -259,9 +173,9 @@ def _take(
             left_out[f"extra within {every_s:g} s"] += 1
         elif not flying(sample.time_ms):
             left_out["not in the air"] += 1
-        elif (place := at(sample.time_ms)) is None:
+        elif (place := sample.place or path.at(sample.time_ms)) is None:
             left_out["without a position"] += 1
-        elif (wind := air(sample.time_ms)) is None:
+        elif (wind := sample.wind or air(sample.time_ms)) is None:
             left_out["without a wind"] += 1
         else:
             interval = number
@@ -270,24 +184,21 @@ def _take(
 
 
 def _area(
-    places: Sequence[Place], origin: Pair | None, area_m: float | None, usual: bool, home: Pair | None
+    places: Sequence[NorthEastUp], origin: Pair | None, area_m: float | None, home: Pair | None
 ) -> tuple[float, Pair]:
     """Return the area's side and (north, east) corner in m.
 
     As given, else at home if all of it lies north and east of that, as a search's does; else centred on
     the path. The side is the default, or a larger one that holds the path.
     """
-    low, high = (end(np.array(places or [(0.0, 0.0, 0.0)])[:, :2], axis=0) for end in (np.min, np.max))
-    if (
-        origin is None
-        and home is not None
-        and not usual
-        and all(low >= home)
-        and all(high <= np.add(home, area_m or AREA_M))
-    ):
+    ground = np.array(places or [(0.0, 0.0, 0.0)])[:, :2]
+    low, high = ground.min(axis=0), ground.max(axis=0)
+    at_home = home is not None and all(low >= home) and all(high <= np.add(home, area_m or AREA_M))
+    if origin is None and at_home:
         origin = home
-    span = float(np.max(high - (low if origin is None else origin))) + MARGIN_M * (2 if origin is None else 1)
-    side_m = area_m or (AREA_M if usual or span <= AREA_M else float(math.ceil(span)))
+    margins_m = MARGIN_M * (2 if origin is None else 1)
+    span_m = float(np.max(high - (low if origin is None else origin))) + margins_m
+    side_m = area_m or max(AREA_M, float(math.ceil(span_m)))
     north, east = ((low + high - side_m) / 2).round(2).tolist()
     return side_m, origin or (north, east)
 
@@ -302,20 +213,15 @@ def _readings(
     first_ms = 0 if fits or not taken else taken[0].sample.time_ms
     readings: list[tuple[Reading, LoggedGas]] = []
     for sample, (north, east, up), wind in taken:
+        position = float32(east - corner[1]), float32(north - corner[0])
         if sample.time_ms - first_ms >= WRAP_MS:
             left_out["later than time_boot_ms can say"] += 1
-            continue
-        position = float32(east - corner[1]), float32(north - corner[0])
-        if not all(0.0 <= value <= side_m for value in position):
+        elif not all(0.0 <= value <= side_m for value in position):
             left_out["outside the area"] += 1
-            continue
-        gas = plume.gas(position, len(readings)) if plume else sample.gas
-        readings.append((Reading(sample.time_ms - first_ms, position, float32(up), wind, gas), sample))
+        else:
+            gas = plume.gas(position, len(readings)) if plume else sample.gas
+            readings.append((Reading(sample.time_ms - first_ms, position, float32(up), wind, gas), sample))
     return readings
-
-
-def _listed(left_out: Counter[str]) -> str:
-    return ", ".join(f"{count:,} {what}" for what, count in left_out.items())
 
 
 def _where(corner: Pair, anchor: Anchor | None) -> Origin:
@@ -327,21 +233,14 @@ def _where(corner: Pair, anchor: Anchor | None) -> Origin:
     )
 
 
-def _notes_on_readings(
-    readings: Sequence[Reading], left_out: Counter[str], every_s: float, side_m: float, origin: Origin
-) -> list[str]:
+def _note_on_readings(readings: Sequence[Reading], every_s: float) -> str:
     gas = [reading.gas for reading in readings]
     x, y = np.mean([reading.wind for reading in readings], axis=0).tolist()
     most = f", at most one per {every_s:g} s" * (every_s > LEAST_EVERY_S)
-    globe = "" if origin.lat_deg is None else f" ({origin.lat_deg:.7f}, {origin.lon_deg:.7f})"
-    notes = [
+    return (
         f"readings: {len(readings):,}{most}, gas from {min(gas):g} to {max(gas):g}; "
         f"mean wind {math.hypot(x, y):.1f} m/s from {math.degrees(math.atan2(x, y)) % 360:.0f}°"
-    ]
-    if left_out:
-        notes.append(f"left out: {_listed(left_out)}")
-    corner = f"{origin.north_m:g} m north and {origin.east_m:g} m east of the local origin{globe}"
-    return [*notes, f"area: side {side_m:g} m, south-west corner {corner}"]
+    )
 
 
 def _entries(
@@ -350,18 +249,14 @@ def _entries(
     """Return the readings and the vehicle's frames in order of time; at equal times the frames come first."""
     own = np.flatnonzero(log.records.systems == autopilot.system)
     shift_ms = readings[0][0].time_boot_ms - readings[0][1].time_ms
-    times_s = (clock.logged_ms(own) + shift_ms) / 1000.0
+    times_s = ((clock.logged_ms(own) + shift_ms) / 1000.0).tolist()
     entries = [
         Entry(MAVLINK_OUT.name, 1000 * logged_us, time_s, log.frame(index))
-        for index, logged_us, time_s in zip(
-            own.tolist(), log.times_us[own].tolist(), times_s.tolist(), strict=True
-        )
+        for index, logged_us, time_s in zip(own.tolist(), log.times_us[own].tolist(), times_s, strict=True)
     ]
     codec = Codec(autopilot.system, AUTOPILOT)
-    entries += [
-        Entry(
-            READING.name, 1000 * sample.logged_us, reading.time_boot_ms / 1000.0, pack_reading(codec, reading)
-        )
-        for reading, sample in readings
-    ]
+    for reading, sample in readings:
+        time_s = reading.time_boot_ms / 1000.0
+        payload = pack_reading(codec, reading)
+        entries.append(Entry(READING.name, 1000 * sample.logged_us, time_s, payload))
     return sorted(entries, key=lambda entry: entry.published_ns)

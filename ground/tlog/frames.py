@@ -1,11 +1,12 @@
 """Finds the intact MAVLink frames of a telemetry log (.tlog), however damaged the file around them is.
 
 A record is a time (µs since 1970, 8 bytes, big-endian) followed by one MAVLink 1 or 2 frame. Nothing marks
-the start of a record: after damage, the next one is searched for byte by byte.
+the start of a record: after damage, the next one is searched for byte by byte. pymavlink's `mavlogfile` does
+not: it drops each sound frame that a damaged one seems to reach into.
 """
 
+import itertools
 import math
-import re
 import struct
 from array import array
 from collections import Counter
@@ -15,113 +16,74 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
-from link.bus.frames import MAVLINK_1, MAVLINK_2, SHORTEST, Frame, checksums, frame_at, frame_length
+from link.bus.frames import MARKER, MAVLINK_1, MAVLINK_2, SHORTEST, Frame, checksums, frame_at, frame_length
 
 Integers = NDArray[np.int64]
 
-STAMP = 8
-"""Bytes of the time before each frame."""
+STAMP = 8  # bytes of the time before each frame
 NO_STAMP = -1
+# The year 2100: a later time is damaged. An early one is valid: a computer without a clock starts in 1970.
 LATEST_US = 4_102_444_800_000_000
-"""The year 2100: a later time is damaged. An early one is valid: a computer without a battery-backed clock
-starts in 1970.
-"""
-MAGIC = re.compile(b"[\xfd\xfe]")
-CHECKSUM_SEEDS = {message_id: bytes([kind.crc_extra]) for message_id, kind in mavlink.mavlink_map.items()}
-SURE_US = 1_000_000
-"""A larger step of the clock between two records, back or ahead, is checked against the records that
-follow.
-"""
+SURE_US = 1_000_000  # a larger step between two records is checked against the records that follow
+SEEDS = {message_id: bytes([kind.crc_extra]) for message_id, kind in mavlink.mavlink_map.items()}
 
 
 class Records(NamedTuple):
-    """The frames of a log, in the order of the file: arrays of one length."""
+    """The frames of a log, in the order of the file: arrays of one length, and what is beside them."""
 
-    logged_us: Integers
-    """When each was logged, µs since 1970; NO_STAMP if those bytes are damaged or missing."""
-    starts: Integers
-    """Offset of each frame in the file, after its time."""
+    logged_us: Integers  # when each was logged, µs since 1970; NO_STAMP if those bytes are damaged or missing
+    starts: Integers  # offset of each frame in the file, after its time
     ends: Integers
     message_ids: Integers
     systems: Integers
     components: Integers
-    garbage: list[tuple[int, int]]
-    """Runs of bytes that belong to no record: (records before the run, its length)."""
-    refused: Counter[int]
-    """Whole frames among the garbage whose checksum is wrong, by message id: damaged, or from another
-    revision of the dialect.
-    """
-    unknown: Counter[int]
-    """Frames of messages outside the dialect, by message id; their checksums cannot be verified."""
-    cut_off: int
-    """Bytes of an incomplete last record."""
+    garbage: list[tuple[int, int]]  # runs of bytes outside records: (records before the run, its length)
+    refused: Counter[int]  # records among the garbage with a wrong checksum, by message id
+    unknown: Counter[int]  # records of messages outside the dialect, whose checksums cannot be verified
+    cut_off: int  # bytes of an incomplete last record
 
 
 def scan(data: bytes) -> Records:
     """Find all records. Never raises: bytes outside records are counted."""
-    logged, starts, ends, message_ids, systems, components = (array("q") for _ in range(6))
-    unknown: Counter[int] = Counter()
-    refused: Counter[int] = Counter()
+    rows = array("q")
     garbage: list[tuple[int, int]] = []
+    refused: dict[int, int] = {}  # message ids by offset
     at = cut_off = 0
-    while at < len(data):
-        found = _record(data, at)
-        if found is None:
-            if len(data) - at < STAMP + SHORTEST or _ends_beyond(data, at):
-                cut_off = len(data) - at
-            else:
-                garbage.append((len(starts), len(data) - at))
-                refused.update(_refused(data, at, len(data)))
-            break
+    while (found := _next(data, at, refused)) is not None:
         start, frame = found
         end = start + len(frame.data)
-        logged_us = _stamp(data, start - STAMP) if start - STAMP >= at else NO_STAMP
-        if skipped := start - at - (STAMP if logged_us != NO_STAMP else 0):
-            garbage.append((len(starts), skipped))
-            refused.update(_refused(data, at, at + skipped))
-        if frame.message_id not in CHECKSUM_SEEDS:
-            unknown[frame.message_id] += 1
-        logged.append(logged_us)
-        starts.append(start)
-        ends.append(end)
-        message_ids.append(frame.message_id)
-        systems.append(frame.system)
-        components.append(frame.component)
+        stamp = _stamp(data, start - STAMP) if start - STAMP >= at else NO_STAMP
+        if skipped := start - at - (STAMP if stamp != NO_STAMP else 0):
+            garbage.append((len(rows) // 6, skipped))
+        rows.extend((stamp, start, end, frame.message_id, frame.system, frame.component))
         at = end
-    columns = [
-        np.frombuffer(column, np.int64) for column in (logged, starts, ends, message_ids, systems, components)
-    ]
+    if len(data) - at < STAMP + SHORTEST or _ends_beyond(data, at):
+        cut_off = len(data) - at
+    else:
+        garbage.append((len(rows) // 6, len(data) - at))
+    columns = np.frombuffer(rows, np.int64).reshape(-1, 6).T.copy()
+    unknown = Counter(message_id for message_id in columns[3].tolist() if message_id not in SEEDS)
+    logged_us, starts, ends, message_ids, systems, components = columns
     return Records(
-        columns[0],
-        columns[1],
-        columns[2],
-        columns[3],
-        columns[4],
-        columns[5],
+        logged_us,
+        starts,
+        ends,
+        message_ids,
+        systems,
+        components,
         garbage,
-        refused,
+        Counter(refused.values()),
         unknown,
         cut_off,
     )
-
-
-def payload(data: bytes, start: int) -> bytes:
-    """Return the payload of the frame at offset `start`; MAVLink 2 omits trailing zeros."""
-    frame = frame_at(data, start)
-    assert frame is not None
-    return frame.payload
 
 
 class LogClock(NamedTuple):
     """The log's times made monotonic, and what was corrected."""
 
     times_us: Integers
-    damaged: int
-    """Number of records whose time is missing or fits neither neighbour; each takes the time of the record
-    before it.
-    """
-    jumps: list[tuple[int, int]]
-    """Where the clock was set back: (record, µs). This amount is added to all later times."""
+    damaged: int  # records without a time, or with one that fits no neighbour: they take the one before it
+    jumps: list[tuple[int, int]]  # where the clock was set back: (record, µs added to all later times)
 
 
 def log_clock(logged_us: Integers) -> LogClock:
@@ -131,78 +93,60 @@ def log_clock(logged_us: Integers) -> LogClock:
     newest = next((stamp for stamp in stamps if stamp != NO_STAMP), 0)
     for index, stamp in enumerate(stamps):
         now = stamp + offset
+        after = [later + offset for later in stamps[index + 1 : index + 3] if later != NO_STAMP]
+        following = after[0] if after else newest
         if stamp == NO_STAMP or now > LATEST_US:
             damaged += 1
-        elif not abs(now - newest) <= SURE_US:
-            following = next(
-                (later + offset for later in stamps[index + 1 : index + 3] if later != NO_STAMP), newest
-            )
-            if newest - SURE_US <= following < (now - SURE_US if now > newest else math.inf):
-                damaged += 1
-            elif now < newest:
-                jumps.append((index, newest - now))
-                offset += newest - now
-            else:
-                newest = now
+        elif abs(now - newest) <= SURE_US:
+            newest = max(newest, now)
+        elif newest - SURE_US <= following < (now - SURE_US if now > newest else math.inf):
+            damaged += 1
         elif now > newest:
             newest = now
+        else:
+            jumps.append((index, newest - now))
+            offset += newest - now
         times[index] = newest
     return LogClock(np.frombuffer(times, np.int64), damaged, jumps)
 
 
-def _record(data: bytes, at: int) -> tuple[int, Frame] | None:
-    """Return where the next frame from offset `at` on begins, and the frame. A record that starts exactly
-    there is tried first.
+def _next(data: bytes, at: int, refused: dict[int, int]) -> tuple[int, Frame] | None:
+    """Return the next real frame from offset `at` on, and where it begins. A record that starts exactly there
+    is tried first.
     """
-    frame = frame_at(data, at + STAMP)
-    if frame is not None and _is_good(data, at, at + STAMP, frame):
-        return at + STAMP, frame
-    for match in MAGIC.finditer(data, at):
-        frame = frame_at(data, match.start())
-        if frame is not None and _is_good(data, at, match.start(), frame):
-            return match.start(), frame
+    for start in itertools.chain((at + STAMP,), (match.start() for match in MARKER.finditer(data, at))):
+        frame = frame_at(data, start)
+        if frame is None:
+            continue
+        if _is_real(data, at, start, frame):
+            return start, frame
+        if frame.message_id in SEEDS and _is_between_records(data, at, start, frame):
+            refused[start] = frame.message_id
     return None
 
 
-def _is_good(data: bytes, at: int, start: int, frame: Frame) -> bool:
-    """True for a real frame: by its checksum or, for an unknown message, by the bytes before, after and
-    inside it.
-    """
-    verified = _is_right(frame)
-    if verified is not None:
-        return verified
-    end = start + len(frame.data)
-    if (
-        start - STAMP < at
-        or _stamp(data, start - STAMP) == NO_STAMP
-        or not (end == len(data) or _may_begin(data, end))
-    ):
+def _is_real(data: bytes, at: int, start: int, frame: Frame) -> bool:
+    """Judge a frame by its checksum or, for an unknown message, by the bytes before, after and inside it."""
+    if frame.message_id in SEEDS:
+        return _is_right(frame)
+    if not _is_between_records(data, at, start, frame):
         return False
-    inside = (frame_at(data, match.start()) for match in MAGIC.finditer(data, start + 1, end))
-    return not any(seen is not None and _is_right(seen) for seen in inside)
+    places = MARKER.finditer(data, start + 1, start + len(frame.data))
+    inside = (frame_at(data, match.start()) for match in places)
+    return not any(seen and seen.message_id in SEEDS and _is_right(seen) for seen in inside)
 
 
-def _is_right(frame: Frame) -> bool | None:
-    """True if the frame's checksum is right; None if the dialect does not know the message."""
-    seed = CHECKSUM_SEEDS.get(frame.message_id)
-    if seed is None:
-        return None
-    told, right = checksums(frame, seed)
+def _is_right(frame: Frame) -> bool:
+    told, right = checksums(frame, SEEDS[frame.message_id])
     return told == right
 
 
-def _refused(data: bytes, at: int, end: int) -> list[int]:
-    """Return the message ids of a run of garbage that consists only of records with a wrong checksum; else
-    an empty list.
-    """
-    message_ids = []
-    while at < end:
-        frame = frame_at(data, at + STAMP)
-        if frame is None or _stamp(data, at) == NO_STAMP:
-            return []
-        at += STAMP + len(frame.data)
-        message_ids.append(frame.message_id)
-    return message_ids if at == end else []
+def _is_between_records(data: bytes, at: int, start: int, frame: Frame) -> bool:
+    """True if a time comes before the frame, and the file's end or another record after it."""
+    if start - STAMP < at or _stamp(data, start - STAMP) == NO_STAMP:
+        return False
+    end = start + len(frame.data)
+    return end == len(data) or _may_begin(data, end)
 
 
 def _stamp(data: bytes, at: int) -> int:

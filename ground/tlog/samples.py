@@ -1,4 +1,4 @@
-"""Reads the gas values and the wind from a telemetry log."""
+"""Reads the gas values and the wind from a log."""
 
 import math
 from collections import Counter, defaultdict
@@ -10,24 +10,26 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog.clock import Floats, VehicleClock
 from ground.tlog.frames import Integers
-from ground.tlog.sender import Autopilot, FlightError, FlightLog, counted, few
-from ground.tlog.track import Told
-from link.bus.mavlink import Message
+from ground.tlog.log import LOCAL, NAMES, Autopilot, FlightError, FlightLog, counted, few
+from ground.tlog.onboard import NAME_LENGTH
+from ground.tlog.track import NorthEastUp, Reported
+from link.bus.mavlink import BadFrame, Message, unpack_reading
 from plume.world import float32
 
 Pair = tuple[float, float]
+Air = Callable[[float], Pair | None]
+"""Maps the vehicle's time in ms to the wind, (x east, y north) m/s, pointing to where it comes from; None
+if unknown.
+"""
 
 NAMED = (mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, mavlink.MAVLINK_MSG_ID_NAMED_VALUE_INT)
 WIND_COV, WIND = mavlink.MAVLINK_MSG_ID_WIND_COV, mavlink.MAVLINK_MSG_ID_WIND
+READING = (LOCAL, WIND_COV, NAMED[0])  # of one reading: consecutive, from one sender, with one time
 MESSAGES = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}
-NAME_LENGTH = 10
-"""Longest name of a NAMED_VALUE_FLOAT (251) or NAMED_VALUE_INT (252)."""
-
+# Largest difference between a sender's time and the vehicle's if both share a clock: of the median, and by
+# which a single value may be later.
 SAME_CLOCK_MS, OWN_CLOCK_MS = 500.0, 5000.0
-"""Largest difference between a sender's time and the vehicle's if both share a clock: of the median, and
-by which a single value may be later."""
-WIND_AGE_MS = 30_000.0
-"""A wind message is valid for this long before and after it was logged."""
+WIND_AGE_MS = 30_000.0  # a wind message is valid for this long before and after it was logged
 
 
 class GasSource(NamedTuple):
@@ -36,14 +38,14 @@ class GasSource(NamedTuple):
     text: str
     message_ids: tuple[int, ...]
     field: str
-    name: str | None
-    """Name of the NAMED_VALUE_FLOAT or NAMED_VALUE_INT; None for any other message."""
+    name: str | None  # of the NAMED_VALUE_FLOAT or NAMED_VALUE_INT; None for any other message
     factor: float
 
 
-def parse_gas(text: str) -> GasSource:
+def parse_gas(text: str, is_onboard: bool = False) -> GasSource:
     """Parse NAME (of a NAMED_VALUE_FLOAT or NAMED_VALUE_INT) or MESSAGE.FIELD, either followed by *FACTOR.
-    Raises FlightError.
+
+    Of an on-board log, the message has become a named value already. Raises FlightError.
     """
     what, star, number = text.partition("*")
     try:
@@ -53,20 +55,19 @@ def parse_gas(text: str) -> GasSource:
     if not 0.0 < factor < math.inf:
         raise FlightError(f"{text!r} is not allowed; wanted a number above 0 after the *")
     message, _, field = what.partition(".")
+    if is_onboard:
+        return GasSource(text, NAMED, "value", what[:NAME_LENGTH], factor)
     if message in MESSAGES and field:
         kind = MESSAGES[message]
         numbers = [name for name in kind.fieldnames if _is_number(kind, name)]
         if field not in numbers:
-            raise FlightError(
-                f"{text!r} is not allowed; wanted a numeric field of {message}: "
-                f"{', '.join(numbers) or 'it has none'}"
-            )
+            known = ", ".join(numbers) or "it has none"
+            raise FlightError(f"{text!r} is not allowed; wanted a numeric field of {message}: {known}")
         return GasSource(text, (kind.id,), field, None, factor)
     if not 1 <= len(what) <= NAME_LENGTH:
         raise FlightError(
             f"{text!r} is not allowed; wanted the NAME of a NAMED_VALUE_FLOAT, 1 to {NAME_LENGTH} "
-            "characters, "
-            "or MESSAGE.FIELD such as SCALED_PRESSURE3.temperature, either followed by *FACTOR"
+            "characters, or MESSAGE.FIELD such as SCALED_PRESSURE3.temperature, either followed by *FACTOR"
         )
     return GasSource(text, NAMED, "value", what, factor)
 
@@ -79,66 +80,84 @@ def _is_number(kind: Message, field: str) -> bool:
 class LoggedGas(NamedTuple):
     """A gas value, or the time for a simulated one."""
 
-    time_ms: int
-    """The vehicle's time."""
-    logged_us: int
-    """The log's time, µs since 1970."""
+    time_ms: int  # the vehicle's time
+    logged_us: int  # the log's time, µs since 1970
     gas: float
+    place: NorthEastUp | None = None  # from home, m; None where the log's positions say it
+    wind: Pair | None = None  # None where the log's wind messages say it
 
 
-Air = Callable[[float], Pair | None]
-"""Maps the vehicle's time in ms to the wind, (x east, y north) m/s, pointing to where it comes from; None
-if unknown.
-"""
+def recorded(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[list[LoggedGas], list[int]]:
+    """Return the readings of a search that a log holds as they were said on its bus, each once.
+
+    Also returns the records of their LOCAL_POSITION_NEDs: these are m from home, wherever the vehicle has the
+    origin of its own frame.
+    """
+    fixes: list[int] = []
+    samples: dict[int, LoggedGas] = {}
+    records = log.records
+    for first in log.select(autopilot.system, READING[:1]).tolist():
+        three = slice(first, first + 3)
+        if tuple(records.message_ids[three]) != READING or len(log.senders(three)) > 1:
+            continue
+        try:
+            said = unpack_reading(b"".join(log.frame(index) for index in range(first, first + 3)))
+        except BadFrame as error:
+            if error.kind == "not finite":  # its sensor had no value
+                fixes.append(first)
+            continue
+        fixes.append(first)
+        time_ms = round(float(clock.own_ms(np.array([first]), np.array([said.time_boot_ms]))[0]))
+        place = said.position[1], said.position[0], said.altitude_m
+        samples.setdefault(time_ms, LoggedGas(time_ms, int(log.times_us[first]), said.gas, place, said.wind))
+    return [samples[time_ms] for time_ms in sorted(samples)], fixes
 
 
 def read_gas(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, source: GasSource, left_out: Counter[str]
-) -> tuple[list[LoggedGas], list[str]]:
-    """Return the gas values in order of time, and notes; raises FlightError if there are none."""
+) -> list[LoggedGas]:
+    """Return the gas values in order of time; raises FlightError if there are none."""
     said: list[tuple[int, int, int]] = []
     values: list[float] = []
-    told: set[tuple[int, ...]] = set()
+    taken: set[tuple[int, ...]] = set()
     boots = clock.boots(np.arange(len(log)))
     for index, m in log.messages(log.select(autopilot.system, source.message_ids)):
         if source.name is not None and m.name != source.name:
             continue
-        component, boot_ms, value = (
-            m.get_srcComponent(),
-            getattr(m, "time_boot_ms", 0),
-            getattr(m, source.field),
-        )
-        if boot_ms and (taken := (component, int(boots[index]), boot_ms, value)) in told:
-            left_out["repeated"] += 1  # a value that was taken once is said again until there is another
+        component, boot_ms = m.get_srcComponent(), getattr(m, "time_boot_ms", 0)
+        value = getattr(m, source.field)
+        this = component, int(boots[index]), boot_ms, value
+        if boot_ms and this in taken:  # a value that was taken once is said again until there is another
+            left_out["repeated"] += 1
             continue
-        if boot_ms:
-            told.add(taken)
+        taken.add(this)
         said.append((index, component, boot_ms))
         values.append(value)
     if not said:
         raise FlightError(_no_gas(log, autopilot, source))
-    notes = [f"gas: {counted(len(said), 'value')} of {source.text}"]
-    records, components, boot_ms = np.array(said, np.int64).T
-    times_ms, by_log = _timed(clock, records, components, boot_ms)
+    log.notes.append(f"gas: {counted(len(said), 'value')} of {source.text}")
+    records, components, own_ms = np.array(said, np.int64).T
+    times_ms, by_log = _timed(clock, records, components, own_ms)
     if by_log:
-        notes.append(
+        log.notes.append(
             f"gas values from senders without the vehicle's clock: {by_log:,}; their log times are used"
         )
     with np.errstate(over="ignore"):
-        gas = (np.array(values, np.float64) * source.factor).astype(np.float32).tolist()
-    samples: list[LoggedGas] = []
+        gas = (np.array(values, np.float64) * source.factor).astype(np.float32)
     order = np.argsort(times_ms, kind="stable")
-    for number, logged_us in zip(
-        order.tolist(), np.maximum.accumulate(log.times_us[records[order]]).tolist(), strict=True
+    logged_us = np.maximum.accumulate(log.times_us[records[order]])
+    samples: list[LoggedGas] = []
+    for time_ms, us, value in zip(
+        times_ms[order].tolist(), logged_us.tolist(), gas[order].tolist(), strict=True
     ):
-        sample = LoggedGas(round(float(times_ms[number])), logged_us, gas[number])
-        if not math.isfinite(sample.gas):
+        sample = LoggedGas(round(time_ms), us, value)
+        if not math.isfinite(value):
             left_out["not finite"] += 1
         elif samples and samples[-1].time_ms == sample.time_ms:
-            left_out["repeated" if samples[-1].gas == sample.gas else "with the time of another value"] += 1
+            left_out["repeated" if samples[-1].gas == value else "with the time of another value"] += 1
         else:
             samples.append(sample)
-    return samples, notes
+    return samples
 
 
 def _timed(
@@ -147,8 +166,7 @@ def _timed(
     """Return the vehicle's times of gas values, and how many come from the log because their sender has
     another clock or none.
 
-    Where a sender has the vehicle's clock, what is older was lost at first, and came when it was said
-    again.
+    Where a sender has the vehicle's clock, an older value was lost at first, and came when it was repeated.
     """
     logged_ms, own_ms = clock.logged_ms(records), clock.own_ms(records, boot_ms)
     is_own = own_ms - logged_ms <= OWN_CLOCK_MS
@@ -163,42 +181,36 @@ def _no_gas(log: FlightLog, autopilot: Autopilot, source: GasSource) -> str:
     names: dict[int, set[str]] = defaultdict(set)
     for _, m in log.messages(log.select(None, NAMED)):
         names[m.get_srcSystem()].add(m.name)
-    there = (
-        few([name if name.isprintable() else repr(name) for name in sorted(names[autopilot.system])])
-        or "none"
-    )
+    own = [name if name.isprintable() else repr(name) for name in sorted(names[autopilot.system])]
     elsewhere = "".join(f"; system {system} did" for system in sorted(names) if source.name in names[system])
+    there = few(own) or "none"
     return (
         f"system {autopilot.system} sent no {source.text}{elsewhere}; its named values: {there}; "
         "choose one with --gas, or simulate a plume along its path with --plume MISSION.yaml"
     )
 
 
-def read_wind(
-    log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: Pair | None
-) -> tuple[Air, list[str]]:
-    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168), and notes; raises
-    FlightError if none exists.
+def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: Pair | None) -> Air:
+    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168); raises FlightError if
+    none exists.
     """
     if wind is not None:
-        return steady(_from_compass(*wind)), [f"wind: {wind[0]:g} m/s from {wind[1]:g}°, as given"]
+        log.notes.append(f"wind: {wind[0]:g} m/s from {wind[1]:g}°, as given")
+        return steady(_from_compass(*wind))
     for message_id, toward in ((WIND_COV, _wind_cov), (WIND, _wind)):
         said = [(index, toward(m)) for index, m in log.messages(log.select(autopilot.system, (message_id,)))]
         said = [(index, pair) for index, pair in said if all(map(math.isfinite, pair))]
         if said:
-            told = Told(
-                clock.logged_ms(np.array([index for index, _ in said], np.int64)), [pair for _, pair in said]
-            )
-            return _changing(told), [f"wind: {len(said):,} {mavlink.mavlink_map[message_id].msgname}"]
+            log.notes.append(f"wind: {len(said):,} {NAMES[message_id]}")
+            return _changing(Reported(clock, said))
     raise FlightError(
         f"system {autopilot.system} sent no wind (WIND_COV or WIND); give it with --wind SPEED,FROM"
     )
 
 
 def _from_compass(speed: float, from_deg: float) -> Pair:
-    return float32(speed * math.sin(math.radians(from_deg))), float32(
-        speed * math.cos(math.radians(from_deg))
-    )
+    heading = math.radians(from_deg)
+    return float32(speed * math.sin(heading)), float32(speed * math.cos(heading))
 
 
 def _wind_cov(m: Message) -> Pair:
@@ -216,14 +228,14 @@ def steady(wind: Pair) -> Air:
     return lambda _: wind
 
 
-def _changing(told: Told) -> Air:
+def _changing(reported: Reported) -> Air:
     """Return the latest wind message at each time, while it is valid."""
 
     def air(time_ms: float) -> Pair | None:
-        last = told.last(time_ms)
-        if abs(time_ms - told.times_ms[last]) > WIND_AGE_MS:
+        last = reported.last(time_ms)
+        if abs(time_ms - reported.times_ms[last]) > WIND_AGE_MS:
             return None
-        x, y = told.values[last].tolist()
+        x, y = reported.values[last].tolist()
         return x, y
 
     return air

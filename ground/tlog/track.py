@@ -1,8 +1,8 @@
-"""The path of a logged vehicle, and when it was in the air."""
+"""The path of a logged vehicle, where its home was, and when it was in the air."""
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise, takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -10,44 +10,38 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog.clock import Floats, VehicleClock
 from ground.tlog.frames import Integers
-from ground.tlog.sender import GLOBAL, GPS, HEARTBEAT, LISTED, LOCAL, Autopilot, FlightError, FlightLog
+from ground.tlog.log import GLOBAL, GPS, HEARTBEAT, LISTED, LOCAL, Autopilot, FlightError, FlightLog
 from link.bus.mavlink import Message
 from plume.geodesy import to_local
 
-Place = tuple[float, float, float]
-"""(north, east, up) m."""
-Home = tuple[float, float, float]
-"""Latitude and longitude in degrees, altitude above the sea in m."""
+NorthEastUp = tuple[float, float, float]  # m
+Home = tuple[float, float, float]  # latitude and longitude in degrees, altitude above the sea in m
 
-EXTENDED_SYS_STATE = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
-JOIN_MS, REACH_MS = 5000.0, 1000.0
-"""Fixes at most JOIN_MS apart are joined by a line; a line is extrapolated by at most REACH_MS beyond its
-ends.
-"""
-SAMPLED = 500
-"""About this many fixes suffice to find the offset between two frames."""
-SHIFTED_M = 0.1
-"""Smallest offset between two frames that is noted."""
+HOME, ORIGIN = mavlink.MAVLINK_MSG_ID_HOME_POSITION, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
+JOIN_MS = 5000.0  # fixes at most this far apart are joined by a line
+REACH_MS = 1000.0  # a line is extrapolated by at most this beyond its ends
+SAMPLED = 500  # about this many fixes suffice to find the offset between two frames
+SHIFTED_M = 0.1  # smallest offset between two frames that is noted
 
 
-def _groups(labels: Integers) -> Iterator[Integers]:
-    """Yield the indices of the elements of each label, in order."""
+def _groups(labels: Integers) -> list[Integers]:
+    """Return the indices of the elements of each label, in order."""
     order = np.argsort(labels, kind="stable")
-    starts = [0, *(np.flatnonzero(np.diff(labels[order])) + 1).tolist(), len(order)]
-    return (order[first:end] for first, end in pairwise(starts) if end > first)
+    return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1) if len(labels) else []
 
 
 class Track:
     """Fixes of one kind in order of time."""
 
-    def __init__(self, times_ms: Sequence[float], places: Sequence[Place], boots: Sequence[int]) -> None:
+    def __init__(
+        self, times_ms: Sequence[float], places: Sequence[NorthEastUp], boots: Sequence[int]
+    ) -> None:
         """Take each fix's time, place, and the number of the vehicle's restarts before it."""
         self.times_ms, chosen = np.unique(np.array(times_ms, np.float64), return_index=True)
         self.places = np.array(places, np.float64).reshape(-1, 3)[chosen]
         self.boots = np.array(boots, np.int64)[chosen]
         breaks = (np.diff(self.times_ms) > JOIN_MS) | (np.diff(self.boots) != 0)
-        self._lines = np.concatenate([[0], np.cumsum(breaks)])[: len(chosen)]
-        """The number of each fix's line."""
+        self._lines = np.concatenate([[0], np.cumsum(breaks)])[: len(chosen)]  # number of each fix's line
 
     def __len__(self) -> int:
         """Number of fixes."""
@@ -60,29 +54,26 @@ class Track:
 
     def of_boots(self) -> Iterator[tuple[int, Integers]]:
         """Yield each number of restarts and the indices of its fixes, in order."""
-        for fixes in _groups(self.boots):
-            yield int(self.boots[fixes[0]]), fixes
+        return ((int(self.boots[fixes[0]]), fixes) for fixes in _groups(self.boots))
 
-    def at(self, time_ms: float) -> Place | None:
+    def at(self, time_ms: float) -> NorthEastUp | None:
         """Return the place, interpolated on a line or extrapolated from its first or last second by at
         most 1 s; None elsewhere.
         """
-        after = int(np.searchsorted(self.times_ms, time_ms, side="right"))
-        before = after - 1
-        if before >= 0 and after < len(self) and self._lines[before] == self._lines[after]:
-            return self._between(before, after, time_ms)
-        if before >= 0 and time_ms - self.times_ms[before] <= REACH_MS:
-            second = int(np.searchsorted(self.times_ms, self.times_ms[before] - REACH_MS))
-            begin = int(np.searchsorted(self._lines, self._lines[before]))
-            return self._between(max(min(second, before - 1), begin), before, time_ms)
-        if after < len(self) and self.times_ms[after] - time_ms <= REACH_MS:
-            second = int(np.searchsorted(self.times_ms, self.times_ms[after] + REACH_MS, side="right")) - 1
-            end = int(np.searchsorted(self._lines, self._lines[after], side="right")) - 1
-            return self._between(after, min(max(second, after + 1), end), time_ms)
-        return None
-
-    def _between(self, a: int, b: int, time_ms: float) -> Place:
-        share = (time_ms - self.times_ms[a]) / (self.times_ms[b] - self.times_ms[a]) if a != b else 0.0
+        times_ms, lines = self.times_ms, self._lines
+        b = int(np.searchsorted(times_ms, time_ms, side="right"))
+        a = b - 1
+        if a >= 0 and b < len(self) and lines[a] == lines[b]:
+            pass
+        elif a >= 0 and time_ms - times_ms[a] <= REACH_MS:
+            second = int(np.searchsorted(times_ms, times_ms[a] - REACH_MS))
+            a, b = max(min(second, a - 1), int(np.searchsorted(lines, lines[a]))), a
+        elif b < len(self) and times_ms[b] - time_ms <= REACH_MS:
+            second = int(np.searchsorted(times_ms, times_ms[b] + REACH_MS, side="right")) - 1
+            a, b = b, min(max(second, b + 1), int(np.searchsorted(lines, lines[b], side="right")) - 1)
+        else:
+            return None
+        share = (time_ms - times_ms[a]) / (times_ms[b] - times_ms[a]) if a != b else 0.0
         north, east, up = (self.places[a] + share * (self.places[b] - self.places[a])).tolist()
         return north, east, up
 
@@ -99,70 +90,68 @@ class Anchor(NamedTuple):
 class FlownPath:
     """The vehicle's path in one local frame, from the best fixes available."""
 
-    def __init__(self, tracks: Sequence[Track], anchor: Anchor | None) -> None:
-        """Take the tracks, the best first, and the anchor on the globe, if known."""
+    def __init__(self, tracks: Sequence[Track], anchor: Anchor | None, is_local: bool) -> None:
+        """Take the tracks, the best first, the anchor on the globe, if known, and whether the frame is the
+        vehicle's own.
+        """
         self.tracks = [track for track in tracks if len(track)]
         self.anchor = anchor
+        self.is_local = is_local
 
-    def at(self, time_ms: float) -> Place | None:
+    def at(self, time_ms: float) -> NorthEastUp | None:
         """Return the place at a time; None if no fix is near enough."""
         return next((place for track in self.tracks if (place := track.at(time_ms)) is not None), None)
 
 
 def flown(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, foreign: Sequence[int] = ()
-) -> tuple[FlownPath, list[str]]:
-    """Return the path and notes; raises FlightError if the vehicle sent no position. foreign: records of
-    positions in another frame.
+) -> FlownPath:
+    """Return the path; raises FlightError if the vehicle sent no position. foreign: records of positions in
+    another frame.
 
     Fixes come from LOCAL_POSITION_NED (32), else GLOBAL_POSITION_INT (33); from GPS_RAW_INT (24) only if
     neither was ever sent.
     """
-    home = next((home for _, home in _homes(log, autopilot)), None)
+    homes = [home for _, home in _told_places(log, autopilot, HOME)]
     local = _track(log, autopilot, clock, LOCAL, _local_place, foreign)
-    around, home = _globe_track(log, autopilot, clock, GLOBAL, home)
+    around, home = _globe_track(log, autopilot, clock, GLOBAL, homes)
     name = "GLOBAL_POSITION_INT"
     if not len(local) and not len(around):
-        around, home = _globe_track(log, autopilot, clock, GPS, home)
+        around, home = _globe_track(log, autopilot, clock, GPS, homes)
         name = "GPS_RAW_INT"
-    told = [
-        f"{len(track):,} {kind}"
-        for track, kind in ((local, "LOCAL_POSITION_NED"), (around, name))
-        if len(track)
-    ]
+    kinds = ((local, "LOCAL_POSITION_NED"), (around, name))
+    told = [f"{len(track):,} {kind}" for track, kind in kinds if len(track)]
     if not told:
         raise FlightError(
             f"system {autopilot.system} sent no position; wanted LOCAL_POSITION_NED, or GLOBAL_POSITION_INT "
             "or GPS_RAW_INT with a fix"
         )
-    notes = [f"positions: {', otherwise '.join(told)}"]
+    log.notes.append(f"positions: {', otherwise '.join(told)}")
     if not len(local):
-        assert home is not None
-        return FlownPath([around], Anchor(home[0], home[1], 0.0, 0.0)), notes
+        return FlownPath([around], Anchor(home[0], home[1], 0.0, 0.0), False)
     offsets = _offsets(local, around)
     if len(np.unique(local.boots)) > max(1, len(offsets)):
-        notes.append("the local frame is assumed unchanged after each restart without GLOBAL_POSITION_INT")
+        log.notes.append(
+            "the local frame is assumed unchanged after each restart without GLOBAL_POSITION_INT"
+        )
     if not offsets:
-        return FlownPath([local], None), notes
-    assert home is not None
+        return FlownPath([local], None, True)
     base = offsets[min(offsets)]
+    around.places -= base
     moved = []
     for boot, fixes in local.of_boots():
-        if boot not in offsets:
-            continue
-        north, east, _ = (offsets[boot] - base).tolist()
-        local.places[fixes] += offsets[boot] - base
+        north, east, _ = shift = offsets.get(boot, base) - base
+        local.places[fixes] += shift
         if math.hypot(north, east) >= SHIFTED_M:
             moved.append(
                 f"after start {boot + 1} the origin of the local frame is {north:.1f} m north and {east:.1f} "
-                "m east of the first one, "
-                "by GLOBAL_POSITION_INT: positions are corrected"
+                "m east of the first one, by GLOBAL_POSITION_INT: positions are corrected"
             )
-    around.places -= base
-    notes += moved[:LISTED]
+    log.notes += moved[:LISTED]
     if (more := len(moved) - LISTED) > 0:
-        notes.append(f"so it is after {more:,} more starts")
-    return FlownPath([local, around], Anchor(home[0], home[1], -float(base[0]), -float(base[1]))), notes
+        log.notes.append(f"so it is after {more:,} more starts")
+    anchor = Anchor(home[0], home[1], -float(base[0]), -float(base[1]))
+    return FlownPath([local, around], anchor, True)
 
 
 def _track(
@@ -170,7 +159,7 @@ def _track(
     autopilot: Autopilot,
     clock: VehicleClock,
     message_id: int,
-    place: Callable[[Message], Place | None],
+    place: Callable[[Message], NorthEastUp | None],
     foreign: Sequence[int] = (),
 ) -> Track:
     """Return the fixes of one message. A GPS_RAW_INT (24) may carry any clock's time, so its log time is
@@ -188,37 +177,34 @@ def _track(
     return Track(times.tolist(), [spot for _, spot, _ in fixes], clock.boots(kept).tolist())
 
 
-def _local_place(m: Message) -> Place | None:
+def _local_place(m: Message) -> NorthEastUp | None:
     return (m.x, m.y, -m.z) if all(map(math.isfinite, (m.x, m.y, m.z))) else None
 
 
 def _globe_track(
-    log: FlightLog, autopilot: Autopilot, clock: VehicleClock, message_id: int, home: Home | None
-) -> tuple[Track, Home | None]:
-    """Return global fixes as metres from home (or from the first fix without a home), and that origin."""
+    log: FlightLog, autopilot: Autopilot, clock: VehicleClock, message_id: int, homes: Sequence[Home]
+) -> tuple[Track, Home]:
+    """Return global fixes as metres from the first home, else from the first fix, and that origin."""
+    origin = list(homes[:1])
 
-    def place(m: Message) -> Place | None:
-        nonlocal home
-        fixed = _is_place(m.lat, m.lon) and not (
-            message_id == GPS and m.fix_type < mavlink.GPS_FIX_TYPE_2D_FIX
-        )
-        if not fixed:
+    def place(m: Message) -> NorthEastUp | None:
+        if not _is_place(m.lat, m.lon) or (message_id == GPS and m.fix_type < mavlink.GPS_FIX_TYPE_2D_FIX):
             return None
-        home = home or (m.lat / 1e7, m.lon / 1e7, m.alt / 1e3)
-        north, east = to_local(home[0], home[1], m.lat / 1e7, m.lon / 1e7)
-        return north, east, m.relative_alt / 1e3 if message_id == GLOBAL else m.alt / 1e3 - home[2]
+        if not origin:
+            origin.append((m.lat / 1e7, m.lon / 1e7, m.alt / 1e3))
+        lat, lon, alt_m = origin[0]
+        north, east = to_local(lat, lon, m.lat / 1e7, m.lon / 1e7)
+        return north, east, m.relative_alt / 1e3 if message_id == GLOBAL else m.alt / 1e3 - alt_m
 
-    return _track(log, autopilot, clock, message_id, place), home
+    track = _track(log, autopilot, clock, message_id, place)
+    return track, origin[0] if origin else (0.0, 0.0, 0.0)
 
 
-def _homes(log: FlightLog, autopilot: Autopilot) -> list[tuple[int, Home]]:
-    """Return each valid HOME_POSITION (242), with its record."""
-    told = log.messages(
-        log.select(autopilot.system, (mavlink.MAVLINK_MSG_ID_HOME_POSITION,), autopilot.component)
-    )
+def _told_places(log: FlightLog, autopilot: Autopilot, message_id: int) -> list[tuple[int, Home]]:
+    """Return each valid HOME_POSITION (242) or GPS_GLOBAL_ORIGIN (49), with its record."""
     return [
         (index, (m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3))
-        for index, m in told
+        for index, m in log.messages(log.select(autopilot.system, (message_id,), autopilot.component))
         if _is_place(m.latitude, m.longitude)
     ]
 
@@ -228,29 +214,27 @@ def home(
     autopilot: Autopilot,
     clock: VehicleClock,
     flying: Callable[[float], bool],
-    anchor: Anchor | None,
+    path: FlownPath,
 ) -> tuple[float, float] | None:
-    """Return where home was before the flight, (north, east) in m of the local frame; None if the log does
-    not say.
+    """Return where home was before the flight, (north, east) in m of the path's frame; None if unknown.
 
-    It is where GPS_GLOBAL_ORIGIN (49) puts it, as for the search; else where the vehicle's global
-    positions do, to 1 cm.
+    It is where GPS_GLOBAL_ORIGIN (49), the origin of the vehicle's own frame, puts it, as for the search;
+    else where the vehicle's global positions do, to 1 cm.
     """
-    homes = _homes(log, autopilot)
-    times_ms = clock.logged_ms(np.array([index for index, _ in homes], np.int64)).tolist()
-    before = list(takewhile(lambda told: not flying(told[0]), zip(times_ms, homes, strict=True)))
+    homes = _told_places(log, autopilot, HOME)
     if not homes:
         return None
-    lat, lon, _ = (before[-1][1] if before else homes[0])[1]
-    for _, m in log.messages(
-        log.select(autopilot.system, (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,), autopilot.component)
-    ):
-        if _is_place(m.latitude, m.longitude):
-            return to_local(m.latitude / 1e7, m.longitude / 1e7, lat, lon)
-    if anchor is None:
+    times_ms = clock.logged_ms(np.array([index for index, _ in homes], np.int64)).tolist()
+    before = sum(1 for _ in itertools.takewhile(lambda time_ms: not flying(time_ms), times_ms))
+    lat, lon, _ = homes[max(before - 1, 0)][1]
+    origins = _told_places(log, autopilot, ORIGIN) if path.is_local else []
+    if origins:
+        _, (origin_lat, origin_lon, _) = origins[0]
+        return to_local(origin_lat, origin_lon, lat, lon)
+    if path.anchor is None:
         return None
-    north, east = to_local(anchor.lat_deg, anchor.lon_deg, lat, lon)
-    return round(anchor.north_m + north, 2) + 0.0, round(anchor.east_m + east, 2) + 0.0
+    north, east = to_local(path.anchor.lat_deg, path.anchor.lon_deg, lat, lon)
+    return round(path.anchor.north_m + north, 2) + 0.0, round(path.anchor.east_m + east, 2) + 0.0
 
 
 def _is_place(lat_e7: int, lon_e7: int) -> bool:
@@ -275,47 +259,42 @@ def _offsets(local: Track, around: Track) -> dict[int, Floats]:
 # ---- reported states ----
 
 
-class Told:
-    """A reported state over time: values and the times of their messages."""
+class Reported:
+    """A reported state over time: values and the times of their messages, in order."""
 
-    def __init__(self, times_ms: Floats, values: Sequence[float | tuple[float, ...]]) -> None:
-        """Take the times in order."""
-        self.times_ms = times_ms
-        self.values = np.array(values, np.float64)
+    def __init__(self, clock: VehicleClock, said: Sequence[tuple[int, float | tuple[float, ...]]]) -> None:
+        """Take each value with its record."""
+        self.times_ms = clock.logged_ms(np.array([index for index, _ in said], np.int64))
+        self.values = np.array([value for _, value in said], np.float64)
 
     def last(self, time_ms: float) -> int:
         """Return the index of the latest value at a time; before the first value, that of the first."""
         return max(int(np.searchsorted(self.times_ms, time_ms, side="right")) - 1, 0)
 
 
-def flying(
-    log: FlightLog, autopilot: Autopilot, clock: VehicleClock
-) -> tuple[Callable[[float], bool], list[str]]:
-    """Return a function that tells if the vehicle was in the air at a time (ms), and notes.
+def flying(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> Callable[[float], bool]:
+    """Return a function that tells if the vehicle was in the air at a time (ms).
 
     In the air means armed (HEARTBEAT, 0) and not on the ground (EXTENDED_SYS_STATE, 245). A state that was
     never reported is ignored.
     """
-
-    def told(message_id: int, state: Callable[[Message], bool | None]) -> Told:
-        records = log.select(autopilot.system, (message_id,), autopilot.component)
-        said = [(index, value) for index, m in log.messages(records) if (value := state(m)) is not None]
-        return Told(
-            clock.logged_ms(np.array([index for index, _ in said], np.int64)), [value for _, value in said]
-        )
-
-    def is_aloft(m: Message) -> bool | None:
-        return (
-            None
-            if m.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED
-            else bool(m.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND)
-        )
-
-    armed = told(HEARTBEAT, lambda m: bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED))
-    aloft = told(EXTENDED_SYS_STATE, is_aloft)
-    words = [word for word, state in (("disarmed", armed), ("on the ground", aloft)) if state.values.any()]
-    states = [state for state in (armed, aloft) if state.values.any()]
-    notes = [f"in the air: samples taken while {' or '.join(words)} are not used"]
-    if not words:
-        notes = ["in the air: the log never reports armed or airborne, so all samples are used"]
-    return lambda time_ms: all(bool(state.values[state.last(time_ms)]) for state in states), notes
+    landed = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
+    undefined, grounded = mavlink.MAV_LANDED_STATE_UNDEFINED, mavlink.MAV_LANDED_STATE_ON_GROUND
+    armed: list[tuple[int, float]] = []
+    aloft: list[tuple[int, float]] = []
+    for index, m in log.messages(log.select(autopilot.system, (HEARTBEAT, landed), autopilot.component)):
+        if m.get_msgId() == HEARTBEAT:
+            armed.append((index, bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)))
+        elif m.landed_state != undefined:
+            aloft.append((index, m.landed_state != grounded))
+    words = []
+    states = []
+    for word, said in (("disarmed", armed), ("on the ground", aloft)):
+        if any(value for _, value in said):
+            words.append(word)
+            states.append(Reported(clock, said))
+    note = "in the air: the log never reports armed or airborne, so all samples are used"
+    if words:
+        note = f"in the air: samples taken while {' or '.join(words)} are not used"
+    log.notes.append(note)
+    return lambda time_ms: all(bool(state.values[state.last(time_ms)]) for state in states)

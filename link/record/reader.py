@@ -39,8 +39,6 @@ LARGEST_RECORD = 4 << 30
 MOST_RATIO, SMALL = 100, 1 << 20
 # Memory overhead of a message, bytes.
 MESSAGE_BYTES = 400
-# The first bytes of logs that autopilots write on board, and what they are.
-NOT_READ = {b"\xa3\x95": "an ArduPilot dataflash log", b"ULog\x01\x12\x35": "a PX4 ULog"}
 # Most damaged places that are kept apart, and most that are named.
 MOST_PLACES, LISTED = 1000, 3
 
@@ -93,7 +91,7 @@ class Recording(NamedTuple):
 def is_record(path: Path) -> bool:
     """True if a file is an MCAP file by its first bytes.
 
-    Raises RecordError if it is empty, no regular file, not readable, or NOT_READ.
+    Raises RecordError if it is empty, no regular file, or not readable.
 
     A pipe is refused: reading its first bytes would consume them, and could wait forever for a writer.
     """
@@ -106,12 +104,6 @@ def is_record(path: Path) -> bool:
         raise RecordError(f"{path}: {error.strerror}") from None
     if not begin:
         raise RecordError(f"{path} is empty")
-    for magic, kind in NOT_READ.items():
-        if begin.startswith(magic):
-            raise RecordError(
-                f"{path} is {kind}, {path.stat().st_size:,} bytes; not read yet: wanted an .mcap or a .tlog "
-                "of the same flight"
-            )
     return begin == MCAP0_MAGIC
 
 

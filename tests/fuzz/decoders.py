@@ -29,6 +29,8 @@ DECODERS = {
     "viewer": Decoder(watchers.viewer_seeds, watchers.viewer),
     "record": Decoder(files.record_seeds, files.record),
     "tlog": Decoder(files.tlog_seeds, files.tlog),
+    "dataflash": Decoder(files.dataflash_seeds, files.onboard),
+    "ulog": Decoder(files.ulog_seeds, files.onboard),
     "script": Decoder(files.script_seeds, files.script),
     "bundle": Decoder(files.bundle_seeds, files.zipped),
     "bundle-page": Decoder(files.page_of_bundle_seeds, files.page_of_bundle),

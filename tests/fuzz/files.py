@@ -24,9 +24,9 @@ from agent.observation import SCHEMAS
 from agent.planning.moves import Headings
 from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow
-from ground.tlog.flight import FlightError
 from ground.tlog.flight import read as read_flight
 from ground.tlog.frames import STAMP
+from ground.tlog.log import FlightError
 from ground.view.wire import Sent, packed
 from link.record.reader import RecordError
 from link.record.reader import read as read_record
@@ -36,6 +36,7 @@ from sitl.script.script import load, shipped
 from sitl.script.typed_yaml import FileError
 from tests.fuzz.mutants import as_sent
 from tests.fuzz.services import BETWEEN, recorded
+from tests.ground.tlog.onboard_logs import Dataflash, ULog, flown, flown_by_px4
 
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
 """In memory where the system has that: each input is written to a file."""
@@ -189,6 +190,26 @@ def tlog(data: bytes) -> None:
         _is_one_line(error)
     else:
         assert flight.entries
+        assert all(len(note.splitlines()) == 1 for note in flight.notes)
+
+
+@cache
+def dataflash_seeds() -> list[bytes]:
+    return [flown().data[:12_000], Dataflash().data]
+
+
+@cache
+def ulog_seeds() -> list[bytes]:
+    return [flown_by_px4().data[:3000], ULog().data]
+
+
+def onboard(data: bytes) -> None:
+    """An on-board log is read as a flight or refused."""
+    try:
+        flight = read_flight(_file("fuzzed.bin", data))
+    except FlightError as error:
+        _is_one_line(error)
+    else:
         assert all(len(note.splitlines()) == 1 for note in flight.notes)
 
 

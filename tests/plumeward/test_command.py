@@ -349,14 +349,26 @@ def test_a_plug_in_may_make_our_environments_also_in_the_workers_of_a_sweep(tmp_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["log", "replay", "draw", "view"])
+@pytest.mark.parametrize(
+    ("command", "what"),
+    [
+        ("log", "is an ArduPilot dataflash log of 0 messages, 34 bytes skipped as garbage, but none"),
+        ("replay", "is an ArduPilot dataflash log of 0 messages, 34 bytes skipped as garbage, but none"),
+        ("draw", "is not an MCAP file"),
+        ("view", "is not an MCAP file"),
+    ],
+)
 def test_each_command_that_takes_a_log_calls_an_autopilots_own_what_it_is(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    command: str,
+    what: str,
 ) -> None:
     """Also one that holds whole MAVLink frames by chance, as a long one does."""
     log = tmp_path / "00000042.BIN"
     log.write_bytes(b"\xa3\x95\x80\x80" + Codec(1, 1).pack(gas_message(2000, 0.5)))
     status, out, err = said(capsys, monkeypatch, command, str(log))
     assert (status, out) == (2, "")
-    assert err.startswith(f"error: {log} is an ArduPilot dataflash log, ")
+    assert err.startswith(f"error: {log} {what}")
     assert err.count("\n") == 1

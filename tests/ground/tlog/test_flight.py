@@ -15,7 +15,9 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
-from ground.tlog.flight import Flight, FlightError, parse_gas, read
+from ground.tlog.flight import LoggedFlight, read
+from ground.tlog.log import FlightError
+from ground.tlog.samples import parse_gas
 from ground.tlog.track import Track
 from link.bus.mavlink import Reading, unpack_reading
 from plume.dispersion import concentration
@@ -47,13 +49,13 @@ WESTERLY = (3.0, 270.0)
 PX4 = mavlink.MAV_AUTOPILOT_PX4
 
 
-def readings(flight: Flight) -> list[Reading]:
+def readings(flight: LoggedFlight) -> list[Reading]:
     return [
         unpack_reading(entry.payload, flight.system) for entry in flight.entries if entry.key == "reading"
     ]
 
 
-def noted(flight: Flight, *words: str) -> str:
+def noted(flight: LoggedFlight, *words: str) -> str:
     """The only note with these words."""
     (note,) = [note for note in flight.notes if all(word in note for word in words)]
     return note

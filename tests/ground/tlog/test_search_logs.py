@@ -18,7 +18,7 @@ IN_HOME = (-7.25, 12.5)
 """Home, m north and east of the EKF's origin."""
 
 
-def readings(read: flight.Flight) -> list[Reading]:
+def readings(read: flight.LoggedFlight) -> list[Reading]:
     return [unpack_reading(entry.payload) for entry in read.entries if entry.key == "reading"]
 
 

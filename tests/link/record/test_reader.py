@@ -129,21 +129,6 @@ def test_an_empty_file_is_called_empty(tmp_path: Path) -> None:
     assert refused(tmp_path / "run.mcap") == f"{tmp_path / 'run.mcap'} is empty"
 
 
-@pytest.mark.parametrize(
-    ("begin", "kind"),
-    [(b"\xa3\x95\x80\x80", "an ArduPilot dataflash log"), (b"ULog\x01\x12\x35\x01", "a PX4 ULog")],
-)
-def test_a_log_that_an_autopilot_writes_on_board_is_called_what_it_is(
-    tmp_path: Path, begin: bytes, kind: str
-) -> None:
-    log = tmp_path / "00000042.BIN"
-    log.write_bytes(begin.ljust(2000, b"."))
-    assert (
-        refused(log)
-        == f"{log} is {kind}, 2,000 bytes; not read yet: wanted an .mcap or a .tlog of the same flight"
-    )
-
-
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_a_record_that_another_tool_packed_anew_is_read(tmp_path: Path, compression: CompressionType) -> None:
     log = written(tmp_path / "run.mcap", flush_each=True)

@@ -1,0 +1,141 @@
+"""Protects the reader of on-board logs: a dataflash .bin and a ULog .ulg give the readings that one works out
+by hand, damage costs nothing but itself, and what is no such log is one line.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from ground.tlog.flight import LoggedFlight, read
+from ground.tlog.log import FlightError
+from link.bus.mavlink import Reading, unpack_reading
+from tests.ground.tlog.onboard_logs import Dataflash, ULog, flown, flown_by_px4
+
+WESTERLY = (3.0, 270.0)
+
+
+def readings(flight: LoggedFlight) -> list[Reading]:
+    return [unpack_reading(entry.payload) for entry in flight.entries if entry.key == "reading"]
+
+
+# ---- ArduPilot ----
+
+
+def test_a_dataflash_log_gives_the_readings_that_one_works_out_by_hand(tmp_path: Path) -> None:
+    flight = read(flown().write(tmp_path))
+    said = readings(flight)
+    # One a second from 12.05 s on: 1 m/s east since 10 s, for 2.05 s. The air moves north and west.
+    assert [reading.time_boot_ms for reading in said] == [12_050 + 1000 * n for n in range(19)]
+    assert [reading.gas for reading in said] == [n + 2.25 for n in range(19)]
+    for n, reading in enumerate(said):
+        assert reading.position == pytest.approx((2.05 + n, 1.0), abs=0.012)  # from home, in 1e-7 degrees
+        assert (reading.altitude_m, reading.wind) == (5.0, (2.0, -1.5))
+    assert "an ArduPilot dataflash log of" in flight.notes[0]
+    assert "from 2023-11-13 22:00:05 UTC" in flight.notes[1]
+    assert "garbage" not in "".join(flight.notes)
+
+
+def test_any_field_of_a_dataflash_log_may_be_the_gas(tmp_path: Path) -> None:
+    flight = read(flown().write(tmp_path), gas="GASX.Conc*0.5", wind=WESTERLY, area_m=50.0)
+    assert [reading.gas for reading in readings(flight)] == [50.0 * n for n in range(10, 101, 5)]
+    with pytest.raises(FlightError, match=r"sent no RFND\.Dist; its named values: gas;"):
+        read(flown().write(tmp_path), gas="RFND.Dist")
+
+
+def test_damage_of_a_dataflash_log_costs_nothing_but_itself(tmp_path: Path) -> None:
+    log = flown()
+    clean = readings(read(log.write(tmp_path)))
+    begin = log.data.index(b"\xa3\x95", 9 * 89)  # the first message behind the formats
+    log.data = log.data[:begin] + b"\x00\xa3\x95\x07?" + log.data[begin:] + b"\xff" * 300
+    flight = read(log.write(tmp_path))
+    assert readings(flight) == clean
+    assert ", 305 bytes skipped as garbage; " in flight.notes[0]
+    log.data = log.data[:-400]
+    part = readings(read(log.write(tmp_path)))
+    assert 10 < len(part) < len(clean)
+    assert part == clean[: len(part)]
+
+
+@pytest.mark.parametrize("length", [0, 1, 3, 12])
+def test_a_format_that_no_message_can_have_is_not_followed(tmp_path: Path, length: int) -> None:
+    log = flown()
+    clean = readings(read(log.write(tmp_path)))
+    odd = Dataflash()
+    odd.define("ODD", "?", "TimeUS", number=90, length=length)
+    odd.data += bytes([0xA3, 0x95, 90]) + bytes(max(length - 3, 0))
+    odd.data += log.data
+    assert readings(read(odd.write(tmp_path))) == clean
+
+
+def test_a_dataflash_log_of_nothing_to_read_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(
+        FlightError, match=r"is an ArduPilot dataflash log of 1 messages, but none that tells"
+    ):
+        read(Dataflash().write(tmp_path))
+
+
+# ---- PX4 ----
+
+
+def test_a_ulog_gives_the_readings_that_one_works_out_by_hand(tmp_path: Path) -> None:
+    flight = read(flown_by_px4().write(tmp_path), gas="CH4*2", origin=(0.0, 0.0))
+    said = readings(flight)
+    assert [reading.time_boot_ms for reading in said] == [11_100 + 1000 * n for n in range(10)]
+    assert [reading.gas for reading in said] == [11.0 + 10.0 * n for n in range(10)]
+    for n, reading in enumerate(said):
+        assert reading.position == pytest.approx((2.2 + 2.0 * n, 1.0), abs=1e-5)
+        assert (reading.altitude_m, reading.wind) == (3.0, (2.0, -1.5))
+    assert "a PX4 ULog of" in flight.notes[0]
+    assert "from 2023-11-14 22:13:21 UTC" in flight.notes[1]  # 1 s after the boot
+    assert "system 1 (PX4)" in "".join(flight.notes)
+
+
+def test_a_ulog_that_is_cut_off_is_read_up_to_there(tmp_path: Path) -> None:
+    log = flown_by_px4()
+    whole = readings(read(log.write(tmp_path), gas="CH4"))
+    log.data = log.data[: len(log.data) * 3 // 4]
+    part = readings(read(log.write(tmp_path), gas="CH4"))
+    assert 3 < len(part) < len(whole)
+    assert [reading.gas for reading in part] == [reading.gas for reading in whole[: len(part)]]
+
+
+def test_damage_of_a_ulog_is_stepped_over_to_the_next_sync(tmp_path: Path) -> None:
+    log = flown_by_px4()
+    whole = readings(read(log.write(tmp_path), gas="CH4"))
+    begin = log.data.index(b"\x08\x00S", len(log.data) // 2)
+    log.data = log.data[: begin - 100] + b"\xff" * 60 + log.data[begin - 40 :]
+    flight = read(log.write(tmp_path), gas="CH4")
+    assert " bytes skipped as garbage; " in flight.notes[0]
+    assert {reading.time_boot_ms for reading in readings(flight)} <= {each.time_boot_ms for each in whole}
+    assert len(readings(flight)) >= len(whole) - 1
+
+
+@pytest.mark.parametrize(
+    "fields", ["b[9999] b", "uint8_t[99999999] x", "nowhere x", "float", "", "float[-3] x"]
+)
+def test_a_topic_that_no_message_can_have_is_not_followed(tmp_path: Path, fields: str) -> None:
+    log = ULog()
+    log.put("F", f"wind:{fields};".encode())
+    log.put("F", f"b:{fields};".encode())
+    log.data += flown_by_px4().data[len(ULog().data) :]
+    assert len(readings(read(log.write(tmp_path), gas="CH4", wind=WESTERLY))) == 10
+
+
+# ---- as others read them ----
+
+
+def test_pymavlink_and_pyulog_read_the_same_values_from_these_logs(tmp_path: Path) -> None:
+    from pymavlink.DFReader import DFReader_binary
+    from pyulog import ULog as Other
+
+    theirs = DFReader_binary(str(flown().write(tmp_path)))
+    said = [message for message in iter(lambda: theirs.recv_match(type=["NVAL"]), None)]
+    ours = read(tmp_path / "00000001.BIN", every_s=0.001)
+    by_time = {message.TimeBootMS: message.Value for message in said if message.get_type() == "NVAL"}
+    assert {each.time_boot_ms: each.gas for each in readings(ours)}.items() <= by_time.items()
+    topic = Other(str(flown_by_px4().write(tmp_path))).get_dataset("debug_key_value").data
+    ours = read(tmp_path / "log.ulg", gas="CH4", every_s=0.001)
+    times_ms, values = (topic["timestamp"] // 1000).tolist(), topic["value"].tolist()
+    assert [(each.time_boot_ms, each.gas) for each in readings(ours)] == list(
+        zip(times_ms[1:], values[1:], strict=True)
+    )
