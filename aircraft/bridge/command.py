@@ -1,7 +1,6 @@
 """`plumeward bridge`: joins the bus of a vehicle with MAVLink endpoints."""
 
 import argparse
-import signal
 import sys
 from collections import Counter
 from contextlib import ExitStack, closing
@@ -65,12 +64,10 @@ def run(args: argparse.Namespace) -> int:
             if (risk := address.risk("command the vehicle")) and not args.sign:
                 bus.log.warning(risk)
         on_end(lambda _: bridge.end())  # no KeyboardInterrupt, which could strike within a frame
-        signal.set_wakeup_fd(bridge.wake_descriptor, warn_on_full_buffer=False)
         bus.publish_health()
         try:
             bridge.run()
         finally:
-            signal.set_wakeup_fd(-1)
             bridge.close()
             for line in bridge.counts():
                 bus.log.info(line)

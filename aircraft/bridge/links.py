@@ -229,11 +229,6 @@ class Hub:
         with contextlib.suppress(OSError):  # it is being woken already, or closed
             self._wake.send(b"\0")
 
-    @property
-    def wake_descriptor(self) -> int:
-        """A descriptor that wakes it if anything is written to it: for signals."""
-        return self._wake.fileno()
-
     def close(self) -> None:
         """Free all that was opened; a second call has no effect."""
         self._closed = True

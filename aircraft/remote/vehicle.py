@@ -92,9 +92,9 @@ class RemoteVehicle:
     def advance(self, t_s: float) -> list[VehicleEvent]:
         """Take what the vehicle has said; returns its texts and ours, and its arrival if there is one."""
         self.catch_up(t_s)
-        name = self._known.firmware.name
-        heard = [Said(t_s, severity, f"{name}: {text}", heard=True) for severity, text in self._known.texts]
-        events: list[VehicleEvent] = [*self.flight.events, *heard]
+        name, events = self._known.firmware.name, list[VehicleEvent](self.flight.events)
+        for severity, text in self._known.texts:
+            events.append(Said(self.now_s, severity, f"{name}: {text}", heard=True))
         self._known.texts.clear()
         self.flight.events.clear()
         if self._flies_course:
