@@ -397,7 +397,8 @@ class Vehicle:
     def set_current(self, t_s: float, seq: int) -> Result:
         """Go on with another item of the mission, at once if it is being flown."""
         self.catch_up(t_s)
-        if not 0 <= seq < (count := len(self.mission.steps)):
+        count = len(self.mission.steps)
+        if not 0 <= seq < count:
             allowed = f"allowed is 0 to {count - 1}" if count else "no mission on board"
             return denied(f"Mission item {seq} refused: {allowed}")
         self.mission.set_current(seq)

@@ -163,6 +163,7 @@ def test_an_item_that_is_not_there_cannot_become_current():
     assert hovering().set_current(10.0, 0).reason == "Mission item 0 refused: no mission on board"
     vehicle = load(hovering(), item(WAYPOINT, east=1, north=1))
     assert vehicle.set_current(10.0, 1).reason == "Mission item 1 refused: allowed is 0 to 0"
+    assert vehicle.set_current(10.0, -2).reason == "Mission item -2 refused: allowed is 0 to 0"
 
 
 # ---- what items do, and when ----
