@@ -6,10 +6,8 @@ from collections import Counter
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.state import Result
-from link.bus.mavlink import Message
+from link.bus.mavlink import TEXT_LENGTH, Message
 
-TEXT_LENGTH = 50
-"""Characters in one STATUSTEXT (253)."""
 REFUSAL_INTERVAL_S = 1.0
 """Clients repeat setpoints at 20 Hz: each kind of refusal is reported at most once per interval."""
 

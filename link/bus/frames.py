@@ -274,7 +274,7 @@ class FrameStream:
                 used, rest_at = used + behind - start, end
             else:
                 false_starts += 1
-                if frame is None and rest_at == end and _may_begin(data[start : start + 3], end - start):
+                if frame is None and rest_at == end and _is_begun(data, start):
                     rest_at, rest_in_step = start, due
                 at, in_step = start + 1, False
         if false_starts >= MOST_FALSE_STARTS:
@@ -306,6 +306,7 @@ class FrameStream:
         self.opening += len(data) - noise + excused
 
 
-def _may_begin(head: bytes, left: int) -> bool:
-    """Whether a frame whose first bytes are `head` is longer than the bytes that are left."""
-    return len(head) < 3 or left < frame_length(head, 0)
+def _is_begun(data: bytes, start: int) -> bool:
+    """Whether a frame may begin at `start` whose end is still to come."""
+    left = len(data) - start
+    return left < 3 or left < frame_length(data, start)

@@ -282,7 +282,7 @@ def unpack_waypoint(payload: bytes, system: int) -> Message:
 
 # ---- long texts ----
 
-CHUNK = 50  # characters of one STATUSTEXT (253); a longer text comes in several
+TEXT_LENGTH = 50  # characters of one STATUSTEXT (253); a longer text comes in several
 MOST_CHUNKS = 256
 
 
@@ -301,7 +301,12 @@ class Texts:
         begins.
         """
         whole = (self._begun.pop(number, "") if number and chunk else "") + text
-        if number and len(text) == CHUNK and chunk < MOST_CHUNKS - 1 and len(whole) < MOST_CHUNKS * CHUNK:
+        if (
+            number
+            and len(text) == TEXT_LENGTH
+            and chunk < MOST_CHUNKS - 1
+            and len(whole) < MOST_CHUNKS * TEXT_LENGTH
+        ):
             self._begun = {number: whole}
             return None
         return "".join(letter if letter.isprintable() else "?" for letter in whole)
