@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import Awaitable, Callable, Coroutine, MutableMapping
 from typing import Any
 
+import msgspec
 import uvicorn
 from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
@@ -33,6 +34,7 @@ HEADERS = {
 MOST_WAITING = 100  # connections that are no page
 SEND_S = 5.0  # a WebSocket client that takes longer to read what was sent is gone
 GONE = (WebSocketDisconnect, RuntimeError)  # what a send to a client that has gone raises
+UNREADABLE = (ValueError, msgspec.DecodeError, RecursionError)  # what reading a client's message raises
 TRY_AGAIN_LATER, POLICY = 1013, 1008  # reasons for closing a WebSocket, by its standard's numbers
 
 
@@ -76,8 +78,8 @@ def _refusal(scope: Scope, rules: AccessRules) -> str:
 async def converse(
     socket: WebSocket, hear: Callable[[str | bytes], None], speak: Callable[[], Coroutine[Any, Any, None]]
 ) -> None:
-    """Run `speak` and hand what the client says to `hear`, until it goes. `hear` raises ValueError, in a
-    line, to close the connection.
+    """Run `speak` and hand what the client says to `hear`, until it goes, or `hear` raises one of UNREADABLE:
+    then the connection is closed with its text.
     """
     reason = ""
 
@@ -86,8 +88,10 @@ async def converse(
         while (received := await socket.receive())["type"] != "websocket.disconnect":
             try:
                 hear(received.get("text") or received.get("bytes") or b"")
-            except ValueError as error:
-                reason = str(error)
+            except UNREADABLE as error:
+                reason = (
+                    str(error).encode()[:120].decode(errors="ignore")
+                )  # a WebSocket has room for 123 bytes
                 break
             await asyncio.sleep(0)  # a flood from one client leaves the others their turn
         raise WebSocketDisconnect

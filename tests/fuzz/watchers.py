@@ -17,10 +17,10 @@ import msgspec
 from ground.desk.scenes import RecordedScene
 from ground.desk.status import Board
 from ground.view.access import AccessRules
-from ground.view.foxglove import request_of
+from ground.view.foxglove import ViewerRequest
 from ground.view.records import RecordedVehicle
 from ground.view.server import PageServer, message_of
-from ground.view.serving import Asgi
+from ground.view.serving import UNREADABLE, Asgi
 from link.bus.messages import Health
 from link.record.reader import read
 from link.record.record import Entry, SimulationClock
@@ -143,10 +143,8 @@ def browser(data: bytes) -> None:
     """Requests and messages of a page are answered or refused with a reason; none ends the server."""
     host, origin, protocol, path, *said = data.split(b"\n")[:12] + [b""] * max(4 - data.count(b"\n") - 1, 0)
     for each in said:
-        try:
+        with contextlib.suppress(*UNREADABLE):
             message_of(each)
-        except ValueError:
-            continue
     asyncio.run(_both(host, origin, protocol, path, said))
 
 
@@ -221,5 +219,5 @@ def viewer_seeds() -> list[bytes]:
 
 def viewer(data: bytes) -> None:
     """A viewer's message is read or refused."""
-    with contextlib.suppress(ValueError):
-        request_of(data)
+    with contextlib.suppress(*UNREADABLE):
+        msgspec.json.decode(data, type=ViewerRequest)
