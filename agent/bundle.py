@@ -1,5 +1,4 @@
-"""A learned policy as data: a zip file of an ONNX graph and a JSON page that describes its observation,
-its moves and its training.
+"""A learned policy as data: a zip file of an ONNX graph and a JSON page.
 
 Flying a bundle needs neither torch nor pickle: a file from a stranger can only steer, not run code.
 """

@@ -1,6 +1,4 @@
-"""Named assumptions: what the estimator takes to be known of a release and of what measures it, and the
-priors of the rest.
-"""
+"""Named assumptions: what the estimator takes to be known, and the priors of the rest."""
 
 from collections.abc import Mapping
 

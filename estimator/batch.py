@@ -1,5 +1,6 @@
-"""Posteriors of many missions at once, by the same kernel as for one: mission i is bit-identical to
-mission i run alone.
+"""Posteriors of many missions at once, by the same kernel as for one.
+
+Mission i is bit-identical to mission i run alone.
 """
 
 import math

@@ -1,5 +1,6 @@
-"""The particle filter: the posterior over the unknowns of the source, one reading at a time (reweight,
-resample, move).
+"""The particle filter: the posterior over the unknowns of the source, one reading at a time.
+
+Each reading is assimilated by reweighting, and where needed resampling and moving.
 """
 
 from collections.abc import Mapping

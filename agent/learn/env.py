@@ -1,5 +1,4 @@
-"""The gymnasium environments: the mission without the network, one at a time or many in parallel
-(docs/environment.md).
+"""The gymnasium environments: the mission without the network (docs/environment.md).
 
 `gymnasium.make("plumeward/SourceSearch-v0")` has discrete headings;
 `gymnasium.make("plumeward/SourceSearchContinuous-v0")` has a heading and a step of up to 1 m.

@@ -1,5 +1,6 @@
-"""What the environments render: each mission as a scene with its truth, drawn as `plumeward draw` draws
-it.
+"""What the environments render: each mission as a scene with its truth.
+
+It is drawn as `plumeward draw` draws it.
 """
 
 import math

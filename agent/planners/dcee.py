@@ -1,6 +1,4 @@
-"""DCEE (dual control for exploitation and exploration): go where the source is expected to be after the
-next reading.
-"""
+"""DCEE (dual control): go where the source is expected to be after the next reading."""
 
 import numpy as np
 

@@ -1,5 +1,6 @@
-"""Homing: approach the source and reduce its uncertainty at the same time; our best planner without
-learning (docs/planners.md).
+"""Homing: approach the source while reducing its uncertainty; the best without learning.
+
+docs/planners.md compares it with the others.
 """
 
 import numpy as np

@@ -1,6 +1,4 @@
-"""Infotaxis as defined in the paper's appendix: go where the next reading is expected to leave the least
-variance.
-"""
+"""Infotaxis by the paper's appendix: go where the next reading should leave the least variance."""
 
 import numpy as np
 

@@ -1,5 +1,6 @@
-"""Sweeps on a Ray cluster: the same flights and the same rows. Each node must have the same code
-installed, which is checked.
+"""Sweeps on a Ray cluster: the same flights and the same rows.
+
+Each node must have the same code installed, which is checked.
 """
 
 import logging

@@ -1,5 +1,6 @@
-"""`plumeward evaluate`: the figures of policies over many missions. If interrupted, the same command
-resumes.
+"""`plumeward evaluate`: the figures of policies over many missions.
+
+If interrupted, the same command resumes.
 """
 
 import argparse

@@ -1,5 +1,6 @@
-"""Sweeps: missions of policies over seeds, particles and stop criteria, on all cores. A journal keeps each
-flight, to resume.
+"""Sweeps: missions of policies over seeds, particles and stop criteria, on all cores.
+
+A journal keeps each flight, to resume.
 """
 
 import hashlib

@@ -1,5 +1,6 @@
-"""Worker processes: results come back as tasks end. A killed worker raises an error, and no worker
-outlives its parent.
+"""Worker processes: results come back as tasks end.
+
+A killed worker raises an error, and no worker outlives its parent.
 """
 
 import os

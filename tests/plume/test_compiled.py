@@ -150,7 +150,7 @@ def test_kernels_of_another_processor_or_library_are_not_run_and_stay_beside(tmp
     assert run(tmp_path) == (USUAL, 0)
     generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
     assert [run(tmp_path, **generic), run(tmp_path, **generic)] == [(USUAL, 0), (USUAL, 3)]
-    other = "import numba, numpy; numpy.__version__ = '0.0'\n"
+    other = "import llvmlite, numba; llvmlite.__version__ = '0.99'\n"
     assert [run(tmp_path, other), run(tmp_path, other)] == [(USUAL, 0), (USUAL, 3)]
     assert run(tmp_path) == (USUAL, 3)
 

@@ -1,5 +1,6 @@
-"""The folder of a training run: its recipe, its checkpoints, and a lock, so that one process at a time
-trains in it.
+"""The folder of a training run: its recipe and its checkpoints.
+
+A lock lets one process at a time train in it.
 """
 
 import fcntl

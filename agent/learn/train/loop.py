@@ -1,5 +1,4 @@
-"""The training loop around stable-baselines3: progress, TensorBoard, checkpoints, and resuming an
-interrupted run.
+"""The training loop around stable-baselines3: progress, TensorBoard, checkpoints.
 
 A run consists of legs from checkpoint to checkpoint. Each leg begins with new missions and new random
 generators, keyed by the seed and the moves so far. A leg is therefore a function of the checkpoint before
