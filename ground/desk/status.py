@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -123,7 +124,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Show the status once, or until interrupted; returns 0 if all parts are ok."""
     live = args.watch and sys.stdout.isatty() and not args.json
-    with Live(console=Console(highlight=False), auto_refresh=False) if live else _Printer() as shown:
+    display = Live(console=Console(highlight=False), auto_refresh=False) if live else nullcontext()
+    with display as shown:
         while True:
             try:
                 with Bus(
@@ -144,19 +146,7 @@ def run(args: argparse.Namespace) -> int:
             time.sleep(WATCH_EVERY_S)
 
 
-class _Printer:
-    """Prints what a live display would show, one table after the other."""
-
-    def update(self, table: Group, *, refresh: bool) -> None:
-        tell(table, sys.stdout)
-
-    def __enter__(self) -> "_Printer":
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
-
-
-def _look(bus: Bus, args: argparse.Namespace, shown: "Live | _Printer") -> bool:
+def _look(bus: Bus, args: argparse.Namespace, shown: Live | None) -> bool:
     """Listen until all verdicts are known, with --watch until the router is gone; returns whether all is
     well.
     """
@@ -186,22 +176,26 @@ def _look(bus: Bus, args: argparse.Namespace, shown: "Live | _Printer") -> bool:
 
 
 def _show(
-    args: argparse.Namespace, shown: "Live | _Printer", no_router: str, parts: dict[str, dict[str, Any]]
+    args: argparse.Namespace, shown: Live | None, no_router: str, parts: dict[str, dict[str, Any]]
 ) -> bool:
     """Show a report; returns whether all is well."""
     well = not no_router and all(part["status"] == OK for part in parts.values())
     if args.json:
         router = {"endpoint": args.connect, "status": MISSING if no_router else OK}
-        told = {
+        fields = {
             "ok": well,
             "namespace": args.namespace,
             "router": router,
             "ceased": bool(_knowing(parts)),
             "parts": parts,
         }
-        print(json.dumps(told), flush=True)
+        print(json.dumps(fields), flush=True)
     else:
-        shown.update(_table(args, no_router, parts), refresh=True)
+        told = _table(args, no_router, parts)
+        if shown:
+            shown.update(told, refresh=True)
+        else:
+            tell(told, sys.stdout)
         if no_router and not args.watch:
             tell(f"error: {no_router}")
     return well

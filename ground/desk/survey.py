@@ -21,7 +21,7 @@ from plume.outcome import TracePoint
 PAUSE_S = 2.0  # A longer silence of the whole bus is reported, s: telemetry comes every second
 LISTED = 5  # number of items of a kind that are listed; the rest is counted
 LONGEST = 120  # longest description of an unreadable message, characters
-MOST_REASONS = 1000  # so many descriptions of unreadable messages are told apart
+MOST_REASONS = 1000  # different descriptions of unreadable messages that are kept
 
 
 class KeyTable(NamedTuple):

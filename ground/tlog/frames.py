@@ -93,19 +93,19 @@ def log_clock(logged_us: Integers) -> LogClock:
     newest = next((stamp for stamp in stamps if stamp != NO_STAMP), 0)
     for index, stamp in enumerate(stamps):
         now = stamp + offset
-        after = [later + offset for later in stamps[index + 1 : index + 3] if later != NO_STAMP]
-        following = after[0] if after else newest
         if stamp == NO_STAMP or now > LATEST_US:
             damaged += 1
         elif abs(now - newest) <= SURE_US:
             newest = max(newest, now)
-        elif newest - SURE_US <= following < (now - SURE_US if now > newest else math.inf):
-            damaged += 1
-        elif now > newest:
-            newest = now
         else:
-            jumps.append((index, newest - now))
-            offset += newest - now
+            after = (later + offset for later in stamps[index + 1 : index + 3] if later != NO_STAMP)
+            if newest - SURE_US <= next(after, newest) < (now - SURE_US if now > newest else math.inf):
+                damaged += 1
+            elif now > newest:
+                newest = now
+            else:
+                jumps.append((index, newest - now))
+                offset += newest - now
         times[index] = newest
     return LogClock(np.frombuffer(times, np.int64), damaged, jumps)
 

@@ -195,7 +195,7 @@ def tlog(data: bytes) -> None:
 
 @cache
 def dataflash_seeds() -> list[bytes]:
-    return [flown().data[:12_000], Dataflash().data]
+    return [flown().data[:5000], Dataflash().data]
 
 
 @cache

@@ -526,7 +526,7 @@ class TestAutopilotLog:
         mission = [unpack_reading(entry.payload) for entry in entries if entry.key == "reading"]
         heard = tmp_path / "heard.tlog"
         frames = [
-            (entry.published_ns // 1000).to_bytes(8) + entry.payload[frame.start : frame.end]
+            (entry.published_ns // 1000).to_bytes(8) + frame.data
             for entry in entries
             if entry.key == "mavlink/out"
             for frame in split(entry.payload)
