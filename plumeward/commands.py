@@ -17,7 +17,6 @@ PACKAGES = {
     "report": Command("agent", "draw tables and figures from the missions of evaluate"),
     "estimator": Command("estimator", "the estimator: readings in, beliefs and the stop out"),
     "agent": Command("agent", "the agent: beliefs in, waypoints out"),
-    "certs": Command("link", "make the certificates that --secure takes"),
 }
 # The commands as the help shows them.
 GROUPS = {
@@ -31,6 +30,7 @@ KNOWN = {
     **OF_SITL,
     **PACKAGES,
     "fly": OF_SITL["fly"]._replace(module="plumeward.flight"),
+    "certs": Command("link.certs", "make the certificates that --secure takes"),
     "list": Command("plumeward.choices", "list the missions, policies, sensors, assumptions and worlds"),
 }
 COMMANDS = {name: KNOWN[name] for names in GROUPS.values() for name in names}

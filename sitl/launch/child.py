@@ -176,7 +176,7 @@ class Child:
         self._answer.put("")
 
     def _read(self, pipe: IO[str]) -> None:
-        """Pass on the lines of a pipe. Of a long one the begin is kept, and the rest is dropped unread."""
+        """Pass on the lines of a pipe; a long line is cropped."""
         with pipe:
             while line := pipe.readline(LONGEST_LINE):
                 text = line.strip()

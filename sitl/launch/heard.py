@@ -160,11 +160,10 @@ class HeardTrace:
         return max(self._points, default=-1) + 1 - len(self._points)
 
     def points(self) -> list[TracePoint] | None:
-        """Return the trace; None if it cannot be told.
+        """Return the trace; None if it has gaps.
 
-        Of a belief that has not come the position and gas are those of its reading, mean and spread are
-        NaN.
-        The readings between two beliefs tell of those between if they are as many: the estimator may have
+        A belief that was not received has the position and gas of its reading, and NaN as mean and spread.
+        This needs as many readings between two beliefs as beliefs are missing: the estimator may have
         refused some.
         """
         trace: list[TracePoint] = []

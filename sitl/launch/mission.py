@@ -92,7 +92,7 @@ def estimator_arguments(mission: Launch) -> list[str]:
     """Return the estimator's flags: what it assumes, and a seed of its own, as the mission's would reveal
     the source.
 
-    Of a real plume it assumes what the script says, and its own defaults for the rest.
+    With a real plume it assumes what the script says, and its own defaults for the rest.
     """
     script, part = mission.script, mission.script.estimator
     release = script.release() if mission.truth else None

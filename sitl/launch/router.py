@@ -51,8 +51,8 @@ def _tell_stop(log: Log, sample: zenoh.Sample) -> None:
 def run(args: argparse.Namespace) -> int:
     """Route until interrupted. Prints the endpoint on stdout; port 0 is replaced by the chosen port.
 
-    With --connect the parts of another site hear ours. With --secure it says on stderr who joins and what
-    it refuses. Raises BadInput.
+    With --connect the parts of another site hear ours. With --secure, connections and refusals are logged.
+    Raises BadInput.
     """
     if args.connect and args.secure:
         raise cli.BadInput("--connect: not with --secure, whose rules admit no other router")
