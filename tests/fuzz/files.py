@@ -254,7 +254,7 @@ def _page() -> bytes:
         Headings(4),
         3,
         {"a": [1]},
-        [bundle.Point(1, 0.5, 0.5, None)],
+        [bundle.CurvePoint(1, 0.5, 0.5, None)],
         {},
     )
     return msgspec.json.encode(page)
