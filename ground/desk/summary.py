@@ -76,13 +76,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the summary or the CSV; returns the exit status: 1 if pieces of the log are missing."""
     from ground.desk.survey import Survey
-    from ground.replay.source import BadSource, is_recording
     from ground.tlog.log import FlightError, open_log
-    from link.record.reader import LogFile, RecordError
+    from link.record.reader import LogFile, RecordError, is_record
 
     missing = ""
     try:
-        if is_recording(args.log):
+        if is_record(args.log):
             log = LogFile(args.log)
             if args.csv:
                 again = _of_record(LogFile(args.log), args.csv)
@@ -96,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
                 names, rows = _table(_of_flight(flown), _of_flight(flown), args.csv)
             else:
                 summary = _summary_of_flight(args.log, flown)
-    except (RecordError, FlightError, BadSource, _NoSuchKey) as error:
+    except (RecordError, FlightError, _NoSuchKey) as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
     status = cli.FAILED if missing else 0

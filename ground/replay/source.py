@@ -198,7 +198,10 @@ def find(
 
     `chosen` and `filtering` are the flags given for reading an autopilot's log and for its estimator.
     """
-    recorded = is_recording(args.log)
+    try:
+        recorded = is_record(args.log)
+    except RecordError as error:
+        raise BadSource(str(error)) from None
     _refuse(args, recorded, chosen, filtering)
     source = recording(args.log, args.policy) if recorded else autopilot_log(args.log, chosen, filtering)
     if not source.entries:
@@ -221,14 +224,6 @@ def reading_time(entry: Entry) -> int | None:
         return nearest(round(1000 * entry.simulation_s), unpack_reading(entry.payload).time_boot_ms)
     except BadFrame:
         return None
-
-
-def is_recording(path: Path) -> bool:
-    """Whether a log is a recording of the bus; raises BadSource if it cannot be read."""
-    try:
-        return is_record(path)
-    except RecordError as error:
-        raise BadSource(str(error)) from None
 
 
 def _refuse(
