@@ -1,15 +1,16 @@
-"""What the search needs of a vehicle: arm, take off, mode, setpoint, events and time; and what it needs of
-the vehicle's clients.
-"""
+"""What the search needs of a vehicle, of the vehicle's clients, and of its gas sensor."""
 
-from collections.abc import Callable
-from typing import Protocol
+import math
+from collections.abc import Callable, Collection
+from typing import NamedTuple, Protocol
 
 from aircraft.config import AircraftConfig
 from aircraft.mode import Mode
 from aircraft.operator import CommandName
 from aircraft.state import Arrived, Ned, Result, VehicleEvent
+from link.bus.keys import SEARCHERS, Key
 from link.bus.mavlink import Message
+from link.bus.session import Arrival
 
 
 class Aircraft(Protocol):
@@ -118,8 +119,8 @@ class Clients(Protocol):
     def measured(self, time_boot_ms: int, gas: float) -> None:
         """Tell a reading."""
 
-    def take(self, item: object) -> None:
-        """Take what came from them through the inbox."""
+    def take(self, arrival: Arrival) -> None:
+        """Take what came from them on the bus. Raises BadFrame."""
 
     def refuse(self, result: Result, t_s: float) -> None:
         """Tell on the bus why a waypoint is refused."""
@@ -129,3 +130,48 @@ class Clients(Protocol):
 
     def end(self, say: Callable[[int, str], None]) -> None:
         """Leave the vehicle to someone, and close the links."""
+
+
+class Measured(NamedTuple):
+    """What a sensor says of the place where the vehicle has arrived."""
+
+    arrived: Arrived
+    gas: float
+    """In the sensor's unit; NaN: it has no value now."""
+    wind: tuple[float, float] | None
+    """(u cos φ, u sin φ) m/s, points to where the wind comes from, as float32; None: nobody knows it now."""
+
+
+class GasSensor:
+    """A gas sensor that answers at once. One that is asked over the bus says more."""
+
+    services = SEARCHERS
+    """The services without which the search does not begin."""
+    keys: tuple[Key, ...] = ()
+    """On which it is answered."""
+
+    def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured | None:
+        """Take reading `number`; None: the values come later, through `take`."""
+        raise NotImplementedError
+
+    def blow(self, u: float | None, phi: float | None) -> None:
+        """Change speed or direction of the wind in a simulated world; None: as it was."""
+
+    def take(self, payload: bytes, wanted: bool) -> Measured | None:
+        """Return what a message on one of `keys` says; `wanted`: whether the vehicle is still measuring.
+
+        Raises BadFrame.
+        """
+
+    def prepare(self, waits_for: str, absent: Collection[str]) -> None:
+        """Get ready; called while the search has not begun. waits_for: why not; absent: missing services.
+
+        Raises VehicleFailed if it never will.
+        """
+
+    def go_on(self) -> None:
+        """Send what is due."""
+
+    def next_s(self) -> float:
+        """Return when something is due, by time.monotonic()."""
+        return math.inf

@@ -27,7 +27,7 @@ class Asking:
         """Packs the questions."""
         self._clock = clock
         self._open: tuple[int, bytes] | None = None  # time_boot_ms of the question, and its frames
-        self._again = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
+        self._repeating = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
 
     @property
     def waiting(self) -> bool:
@@ -43,17 +43,17 @@ class Asking:
         """
         frames = pack_question(self.codec, time_boot_ms, number, position, wind)
         self._open = time_boot_ms, frames
-        self._again.tried(self._clock())
+        self._repeating.tried(self._clock())
         self._send(frames)
 
     def again(self) -> None:
         """Ask again if it is time to."""
-        if self._open and self._again.due(self._clock()):
+        if self._open and self._repeating.due(self._clock()):
             self._send(self._open[1])
 
     def next_s(self) -> float:
         """Return when `again` is to be called, by the clock; infinity if no question is open."""
-        return self._again.due_s if self._open else math.inf
+        return self._repeating.due_s if self._open else math.inf
 
     def receive(self, payload: bytes) -> Sample | None:
         """Return the answer to the open question, which is then closed; None for any other. Raises

@@ -5,20 +5,18 @@ from collections.abc import Callable
 from importlib.metadata import entry_points
 from typing import Protocol
 
-from aircraft.payload.messages import Question, Sample
-from aircraft.payload.options import SERIAL, SIMULATED, WANTED_SERIAL
+from aircraft.bridge.address import parse_address
+from aircraft.payload.messages import LARGEST, Question, Sample
+from aircraft.payload.options import PLUGINS, SERIAL
+from aircraft.payload.serial_sensor import SerialSensor
 from link import cli
 from link.bus.log import Log
 
-PLUGINS = "plumeward.payloads"
-"""Entry points of this group are drivers of other packages: docs/payload.md."""
 TIMEOUT_S = 5.0
 """Real time that a sensor may take for a value; after that it has none (NaN), and the vehicle asks again.
 """
-LARGEST = 3.4028234e38
-"""Largest float32: the wire carries no larger value."""
-NO_NUMBER, SENSOR_ERROR = "not a number", "sensor error"
-"""What a payload counts in its health, beside malformed questions."""
+SENSOR_ERROR = "sensor error"
+"""What a payload counts in its health when a driver fails."""
 Measure = Callable[[Question], Sample]
 """Measures once; may take TIMEOUT_S."""
 
@@ -46,40 +44,13 @@ class Driver(Protocol):
         """End; called once, perhaps while `read` waits."""
 
 
-def kinds() -> tuple[str, ...]:
-    """Return the names of all payloads: what --payload takes, without the text behind the colon."""
-    return (SIMULATED, SERIAL, *(plugin.name for plugin in entry_points(group=PLUGINS)))
-
-
-def check(text: str) -> None:
-    """Raise ValueError, with what is allowed, unless it is a payload. A plug-in is not loaded."""
-    name, colon, _ = text.partition(":")
-    if name == SERIAL:
-        from aircraft.bridge.address import parse_address
-
-        try:
-            parse_address(text)
-        except ValueError as error:
-            raise ValueError(
-                str(error) if "baud" in str(error) else f"{text!r} is not allowed; wanted {WANTED_SERIAL}"
-            ) from None
-    elif name not in kinds():
-        plugged_in = [*kinds()[2:]]
-        raise ValueError(cli.not_allowed(text, kinds(), cli.listing([SIMULATED, WANTED_SERIAL, *plugged_in])))
-    elif name == SIMULATED and colon:
-        raise ValueError(f"{text!r} is not allowed; wanted {SIMULATED} alone")
-
-
 def make(text: str, log: Log) -> Driver:
     """Return the driver that a text names. Raises ValueError, with what is wrong, if a plug-in cannot be
     used.
     """
     name, _, rest = text.partition(":")
     if name == SERIAL:
-        from aircraft.bridge.address import parse_address
-        from aircraft.payload.serial_numbers import SerialNumbers
-
-        return SerialNumbers(parse_address(text), log)
+        return SerialSensor(parse_address(text), log)
     plugins = tuple(entry_points(group=PLUGINS, name=name))
     if len(plugins) > 1:
         raise ValueError(

@@ -12,6 +12,8 @@ from link.bus.mavlink import GAS_NAME, BadFrame, Codec, gas_message, split, wind
 NUMBER_NAME = "sample"
 PAYLOAD_COMPONENT = mavlink.MAV_COMP_ID_PERIPHERAL
 """The payload's MAVLink component id; its system id is the vehicle's."""
+LARGEST = 3.4028234e38
+"""Largest float32: the wire carries no larger value."""
 TIMED = frozenset({"LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_INT", "NAMED_VALUE_FLOAT"})
 """Messages of one question or answer: they share its time. Others beside them are ignored."""
 Wind = tuple[float, float]

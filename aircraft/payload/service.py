@@ -17,7 +17,7 @@ HUNG_S = TIMEOUT_S + 1.0
 NO_VALUE = "the sensor has no value"
 
 
-class Measured(NamedTuple):
+class Answered(NamedTuple):
     """The answer to a question."""
 
     question: Question
@@ -42,7 +42,7 @@ class Measuring:
     def _run(self) -> None:
         while True:
             question: Question = self._questions.get()
-            self._inbox.put(Measured(question, self._measure(question)))
+            self._inbox.put(Answered(question, self._measure(question)))
 
 
 def run(bus: Bus, measuring: Measuring) -> None:
@@ -64,7 +64,7 @@ def run(bus: Bus, measuring: Measuring) -> None:
                 elif asked != question:
                     question, deadline_s = asked, time.monotonic() + HUNG_S
                     measuring.begin(asked)
-            case Measured() if item.question == question:  # else the vehicle asks something else by now
+            case Answered() if item.question == question:  # else the vehicle asks something else by now
                 sample = item.sample
         if question is None:
             continue

@@ -15,14 +15,14 @@ class Simulated:
 
     def __init__(self, world: World) -> None:
         """Take the world of the mission."""
-        self._world = world
+        self.world = world
         self._lost = -1
 
     def __call__(self, question: Question) -> Sample:
         """Measure once. The plume blows with the wind of the question; without one, with that of the
         scenario.
         """
-        world = self._world if question.wind is None else blown(self._world, question.wind)
+        world = self.world if question.wind is None else blown(self.world, question.wind)
         wind = question.wind or world.wind
         if world.loses(question.number) and question.number != self._lost:
             self._lost = question.number  # only the first time: then it is read again
@@ -34,5 +34,11 @@ def blown(world: World, wind: Wind) -> World:
     """Return the world in another measured wind, m/s, which points to where it comes from."""
     if wind == world.wind:
         return world  # to the last bit: direction and speed of float32 components are not the scenario's
-    scenario = msgspec.structs.replace(world.scenario, u=math.hypot(*wind), phi=math.atan2(wind[1], wind[0]))
-    return World(scenario, world.seed, world.sensor, world.name)
+    return turned(world, math.hypot(*wind), math.atan2(wind[1], wind[0]))
+
+
+def turned(world: World, u: float | None, phi: float | None) -> World:
+    """Return the world in another wind; None: its speed or direction as it was."""
+    then = world.scenario
+    u, phi = then.u if u is None else u, then.phi if phi is None else phi
+    return World(msgspec.structs.replace(then, u=u, phi=phi), world.seed, world.sensor, world.name)

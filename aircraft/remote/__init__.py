@@ -1,5 +1,6 @@
 """A real autopilot as the vehicle: a MAVLink client that flies it for a search, and the keeper of its
 link.
 
-Imports: plume, link, link.bus, link.signing, aircraft, aircraft.bridge, aircraft.keeper, aircraft.search.
+Imports: plume, link, link.bus, link.signing, aircraft, aircraft.bridge, aircraft.keeper, aircraft.payload,
+aircraft.search.
 """

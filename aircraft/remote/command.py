@@ -1,37 +1,65 @@
-"""The uav service of a real vehicle."""
+"""`plumeward uav --vehicle URL`: a search by a real vehicle. The command finds this file by its name."""
 
-from collections.abc import Sequence
+import argparse
+import contextlib
+import os
 
+from aircraft.bridge.address import parse_address
+from aircraft.config import AircraftConfig
+from aircraft.keeper.connection import Connection
+from aircraft.remote.commander import Commander
 from aircraft.remote.passing import RealClients
+from aircraft.remote.sensing import AskedSensor
 from aircraft.remote.vehicle import RemoteVehicle
-from aircraft.search.clock import Clock
-from aircraft.search.events import OnBoard
-from aircraft.search.search import AfterStop
+from aircraft.remote.winds import Winds
+from aircraft.search.command import Equipment, Orders, fly, given_by
+from aircraft.search.handling import Handling
+from aircraft.search.options import parse_wind
+from aircraft.search.search import Search
 from aircraft.search.uav import Uav
-from link.bus.inbox import Inbox
-from link.bus.session import Bus
-from link.signing.signer import Signing
-from plume.world import World
+from link.bus.log import Log
+from link.interrupts import LAUNCHER
+
+
+def run(args: argparse.Namespace, orders: Orders, config: AircraftConfig) -> int:
+    """Fly until interrupted; returns the exit status. Raises BadInput."""
+
+    def make(equipment: Equipment, stack: contextlib.ExitStack) -> Uav:
+        with given_by("--vehicle"):
+            vehicle, connection = real_vehicle(
+                args.vehicle, config, orders.speedup, args.sysid, args.wait, equipment.say.log
+            )
+        stack.callback(connection.close)
+        return real_uav(vehicle, orders, equipment, parse_wind(args.wind) if args.wind else None)
+
+    return fly(args, orders, make)
+
+
+def real_vehicle(
+    url: str, config: AircraftConfig, speedup: float, sysid: int | None, wait_s: float, log: Log
+) -> tuple[RemoteVehicle, Connection]:
+    """Return the vehicle at a URL, and the connection to close in the end. Raises ValueError if the URL
+    cannot be used.
+    """
+    connection = Connection(parse_address(url), log)
+    address = connection.address
+    log.info(f"vehicle at {address.text}; the other side: {address.other_side}")
+    if risk := address.risk("speak as the vehicle"):
+        log.warning(risk)
+    commander = Commander(connection, speedup, sysid, Handling(log).of)
+    return RemoteVehicle(config, commander, wait_s=wait_s, launched=LAUNCHER in os.environ), connection
 
 
 def real_uav(
-    vehicle: RemoteVehicle,
-    world: World,
-    clock: Clock,
-    inbox: Inbox,
-    bus: Bus,
-    outs: Sequence[str] = (),
-    events: Sequence[OnBoard] = (),
-    after_stop: AfterStop = "return",
-    signing: Signing | None = None,
-    wind: tuple[float, float] | None = None,
+    vehicle: RemoteVehicle, orders: Orders, equipment: Equipment, wind: tuple[float, float] | None = None
 ) -> Uav:
-    """Return the service. Raises ValueError for a URL in `outs` that cannot be used.
+    """Return the uav service of a real vehicle, which needs a bus. Raises ValueError for a URL of `outs`.
 
     wind: that of all readings, if it is given; else the payload or the autopilot tells it.
     """
-
-    def clients(uav: Uav) -> RealClients:
-        return RealClients(vehicle, uav.search, bus, outs, clock, uav.handling, signing)
-
-    return Uav(vehicle, clients, world, clock, inbox, bus, bus.log, events, after_stop, vehicle, wind)
+    clock, inbox, bus, say, outs, signing = equipment
+    assert bus is not None
+    search = Search(vehicle, orders.world.start, orders.after_stop, say)
+    clients = RealClients(vehicle, search, bus, outs, clock, Handling(say.log), signing)
+    sensor = AskedSensor(vehicle, bus, Winds(wind, orders.world.wind), say)
+    return Uav(search, clients, sensor, clock, inbox, bus, say, orders.events)

@@ -14,7 +14,6 @@ from aircraft.bridge.endpoints import endpoint_of
 from aircraft.bridge.links import Hub
 from aircraft.bridge.routing import SETUP_SIGNING
 from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, named, word_of
-from aircraft.remote.real import leave
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.handling import Handling
@@ -46,6 +45,31 @@ CHANGES = {
 }
 """Commands of which a change of the flight mode may come."""
 POSED, KEYS = "in the vehicle's name", "with a key"  # kinds of clients' frames that are dropped
+LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
+"""Longest real time in which a real vehicle is told to return home when this program ends; a launcher
+waits for 11 s.
+"""
+
+
+def leave(vehicle: RemoteVehicle, clock: Clock, tell: Callable[[int, str], None]) -> None:
+    """See to it that a real vehicle in the air has someone in charge when this program ends. It takes at
+    most `LEAVE_S`.
+
+    Call it where no signal can cut it short (`link.interrupts.uninterrupted`).
+    """
+    until_s, told = time.monotonic() + LEAVE_S, False
+    while True:
+        with contextlib.suppress(Exception):  # whatever fails, the way home is asked for again
+            if (said := vehicle.leave()) and not told:
+                told = True
+                tell(mavlink.MAV_SEVERITY_WARNING, said)
+        with contextlib.suppress(Exception):
+            vehicle.catch_up(clock.now_s())
+        if vehicle.left or time.monotonic() >= until_s:
+            break
+        time.sleep(LEAVE_POLL_S)
+    if not vehicle.left:
+        tell(mavlink.MAV_SEVERITY_CRITICAL, "The vehicle has not answered: its keeper goes on")
 
 
 class RealClients:
@@ -126,14 +150,13 @@ class RealClients:
 
     # ---- what they ask ----
 
-    def take(self, item: object) -> None:
+    def take(self, arrival: Arrival) -> None:
         """Take a payload of `mavlink/in`."""
-        assert isinstance(item, Arrival)
-        frames = FrameStream().take(item.payload, datagram=True)
-        if sum(len(frame.data) for frame in frames) < len(item.payload):
+        frames = FrameStream().take(arrival.payload, datagram=True)
+        if sum(len(frame.data) for frame in frames) < len(arrival.payload):
             self._bus.refuse(MAVLINK_IN, "the payload is not made of whole MAVLink frames", "malformed")
         for frame in frames:
-            self._hear(frame, "through a bridge" if item.attachment == BRIDGED else "on the bus")
+            self._hear(frame, "through a bridge" if arrival.attachment == BRIDGED else "on the bus")
 
     def _hear(self, frame: Frame, whence: str) -> None:
         """Hand a client's frame on to the autopilot, if it is for that; the search's own commands are

@@ -7,13 +7,8 @@ from collections.abc import Mapping
 from enum import Enum
 
 from aircraft.remote.safety import ESTIMATES, Check, Verdict
-from plume.world import float32
 
 Wind = tuple[float, float]  # (u cos φ, u sin φ) m/s: points to where the wind comes from
-WANTED = (
-    "SPEED,FROM: m/s from 0 to 100, and the direction that it comes from in degrees within ±360, "
-    "clockwise from north"
-)
 
 
 class WindSource(Enum):
@@ -24,18 +19,6 @@ class WindSource(Enum):
     AUTOPILOT = "estimated by the autopilot"
     SCENARIO = "the mission's, as the payload is simulated"
     NONE = "none"
-
-
-def parse_wind(text: str) -> Wind:
-    """Return the wind that `SPEED,FROM` says, as float32. Raises ValueError with what is wanted."""
-    try:
-        speed, from_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        speed = from_deg = math.nan
-    if not (0.0 <= speed <= 100.0 and abs(from_deg) <= 360.0):
-        raise ValueError(f"{text!r} is not allowed; wanted {WANTED}")
-    angle = math.radians(from_deg)
-    return float32(speed * math.sin(angle)), float32(speed * math.cos(angle))
 
 
 def in_words(wind: Wind) -> str:

@@ -51,7 +51,7 @@ class Search:
         """The readings, and whether the newest is answered: the agent's first waypoint with its time
         answers it.
         """
-        self._vehicle, self._say = vehicle, say
+        self.vehicle, self._say = vehicle, say
         self._after_stop = after_stop
         self.waypoint: Ned = (start[1], start[0], -vehicle.config.takeoff_altitude_m)
         """The search's own setpoint: the start, then what the agent last answered."""
@@ -62,11 +62,11 @@ class Search:
     @property
     def leads(self) -> bool:
         """True while the search holds control. It is then the vehicle's companion."""
-        return self._vehicle.is_searched
+        return self.vehicle.is_searched
 
     @leads.setter
     def leads(self, leads: bool) -> None:
-        self._vehicle.is_searched = leads
+        self.vehicle.is_searched = leads
 
     @property
     def under_way(self) -> bool:
@@ -102,19 +102,19 @@ class Search:
         """
         if self.state == LANDED:
             return
-        now_s, mode = self._vehicle.now_s, self._vehicle.mode
+        now_s, mode = self.vehicle.now_s, self.vehicle.mode
         if not self._begun:
             if searchers and self.found:
                 self._say_once("Search not begun: its estimator has stopped already; start it anew")
             elif searchers:
                 self._begin(now_s)
-        elif not self._vehicle.armed and not self._vehicle.moving:
+        elif not self.vehicle.armed and not self.vehicle.moving:
             stopped = (
                 "ended by a pilot or the autopilot: the motors have stopped in flight" if self.leads else ""
             )
             ended = f"ended by the pilot: {self._pilot}" if self._pilot else stopped
             self._said, self.leads, self.state = "", False, LANDED
-            if ended and not self.found and not self._vehicle.failure:
+            if ended and not self.found and not self.vehicle.failure:
                 self._say_once(ended)
         elif mode in (Mode.RETURN, Mode.LAND):
             self.leads, self.state = False, RETURNING  # by a pilot, a failsafe, or since the source is found
@@ -124,18 +124,18 @@ class Search:
         elif not self.leads:
             self.state = HOLDING if self.found else PAUSED
         elif self.state == TAKING_OFF and mode is Mode.HOLD:
-            self._obeyed(self._vehicle.setpoint(now_s, self.waypoint))
-            self._obeyed(self._vehicle.set_mode(now_s, Mode.OFFBOARD))
+            self._obeyed(self.vehicle.setpoint(now_s, self.waypoint))
+            self._obeyed(self.vehicle.set_mode(now_s, Mode.OFFBOARD))
             self.state = SEARCHING
 
     def led(self, mode: str, by: str) -> None:
         """A real autopilot's mode or target was changed by a pilot, or by itself; `by`: the client who
         asked for it, if one has.
         """
-        if self.under_way and self._vehicle.armed:
+        if self.under_way and self.vehicle.armed:
             pilot, returned = self._pilot, self.state == RETURNING
             self.give_way(mode, by)
-            if returned and not by and self._vehicle.mode is Mode.LAND:
+            if returned and not by and self.vehicle.mode is Mode.LAND:
                 self._pilot = pilot  # some autopilots change to LAND at the end of a return
 
     def give_way(self, mode: str, by: str = "") -> None:
@@ -148,16 +148,16 @@ class Search:
         """Lead a real vehicle again where the search left off, as someone wants it: no change of mode
         gives it back.
         """
-        if self.found or self._vehicle.failure:
-            return not_now(f"Resume refused: {self._vehicle.failure or 'the source is found'}")
+        if self.found or self.vehicle.failure:
+            return not_now(f"Resume refused: {self.vehicle.failure or 'the source is found'}")
         if not self.under_way:
             return not_now("Resume refused: the search flies nothing")
         if self.leads:
             return ACCEPTED
-        now_s = self._vehicle.now_s
-        result = self._vehicle.setpoint(now_s, self.waypoint)
+        now_s = self.vehicle.now_s
+        result = self.vehicle.setpoint(now_s, self.waypoint)
         if result.accepted:
-            result = self._vehicle.set_mode(now_s, Mode.OFFBOARD)
+            result = self.vehicle.set_mode(now_s, Mode.OFFBOARD)
         if result.accepted:
             self.leads = True
             self.resumed(by)
@@ -170,13 +170,13 @@ class Search:
 
     def _begin(self, now_s: float) -> None:
         """Arm and take off, unless someone flies the vehicle already."""
-        if not self._vehicle.free:
+        if not self.vehicle.free:
             self._say_once("Search waits: a pilot flies the vehicle")
             return
         north, east, _ = self.waypoint
-        self.waypoint = north, east, -self._vehicle.config.takeoff_altitude_m  # a client may have changed it
-        if (self._vehicle.armed or self._obeyed(self._vehicle.arm(now_s))) and self._obeyed(
-            self._vehicle.take_off(now_s)
+        self.waypoint = north, east, -self.vehicle.config.takeoff_altitude_m  # a client may have changed it
+        if (self.vehicle.armed or self._obeyed(self.vehicle.arm(now_s))) and self._obeyed(
+            self.vehicle.take_off(now_s)
         ):
             self.leads = self._begun = True
             self.state = TAKING_OFF
@@ -192,11 +192,11 @@ class Search:
         self._say(
             mavlink.MAV_SEVERITY_NOTICE, f"Source found at ({x:.2f}, {y:.2f}) m, spread {stop.spread:.2f} m"
         )
-        if caveat := self._vehicle.caveat:
+        if caveat := self.vehicle.caveat:
             self._say(mavlink.MAV_SEVERITY_WARNING, f"The source may be elsewhere: {caveat}")
         if self.leads:
             self.leads = False
-            self._obeyed(self._vehicle.set_mode(self._vehicle.now_s, mode))
+            self._obeyed(self.vehicle.set_mode(self.vehicle.now_s, mode))
 
     def _obeyed(self, result: Result) -> bool:
         if not result.accepted:
@@ -215,8 +215,8 @@ class Search:
 
     def answer(self, waypoint: Message, t_s: float) -> Result:
         """Take the agent's SET_POSITION_TARGET_LOCAL_NED, which answers the reading of its time."""
-        self._vehicle.catch_up(t_s)
-        if not self.leads and self._vehicle.mode is Mode.OFFBOARD:
+        self.vehicle.catch_up(t_s)
+        if not self.leads and self.vehicle.mode is Mode.OFFBOARD:
             return not_now(
                 "Waypoint ignored: another client leads"
             )  # the agent is asked again when the search is given back
@@ -225,21 +225,21 @@ class Search:
             result = denied("Waypoint refused: the answer to a reading is a position", "no position")
         if result is None:
             position = waypoint.x, waypoint.y, waypoint.z
-            result = self._vehicle.setpoint(t_s, position, answers=True)
+            result = self.vehicle.setpoint(t_s, position, answers=True)
         if result.accepted:
             self.answers.awaited = False
-            self.waypoint = self._vehicle.waypoint or self.waypoint
+            self.waypoint = self.vehicle.waypoint or self.waypoint
         return result
 
     def obey(self, word: CommandName, t_s: float, by: str) -> Result:
         """Do what an operator tells the search of a real vehicle: give way to a mode, or lead again."""
-        self._vehicle.catch_up(t_s)
+        self.vehicle.catch_up(t_s)
         name = word.capitalize()
         if not self.under_way:
             return not_now(f"{name} refused: the search flies nothing")
         if word == "resume":
             return self.give_back(by)
-        result = self._vehicle.set_mode(t_s, WANTED[word])
+        result = self.vehicle.set_mode(t_s, WANTED[word])
         if result.accepted:
-            self.give_way(self._vehicle.mode.name, by)
+            self.give_way(self.vehicle.mode.name, by)
         return result

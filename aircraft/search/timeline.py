@@ -4,55 +4,60 @@ at exactly that time.
 
 import heapq
 import itertools
-from collections import defaultdict
 from collections.abc import Callable, Sequence
+from functools import partial
 
-from aircraft.search.events import Hold, Land, OnBoard, Return
-from aircraft.state import Arrived
+from aircraft.search.events import Hold, Land, OnBoard, Resume, Return
 
-Item = OnBoard | Arrived
-"""A script event, or a place at which to measure again after a sensor dropout."""
 BY_OPERATOR = (Hold, Return, Land)
 """Operator events: they happen after the reading of their step, all others before it."""
 
 
 class Timeline:
-    """The events that are still to come. Times are simulation time in s."""
+    """What is still to happen. Times are simulation time in s."""
 
-    def __init__(self, events: Sequence[OnBoard] = ()) -> None:
-        """Take the events; simultaneous ones happen in this order. An event with neither step nor time
-        waits for `schedule`.
-        """
+    def __init__(self, events: Sequence[OnBoard], perform: Callable[[OnBoard], object]) -> None:
+        """Take the events, and what carries one out. Simultaneous ones happen in this order."""
+        self._perform = perform
         self._order = itertools.count()
-        self._timed: list[tuple[float, int, Item]] = []
-        self._stepped: dict[int, list[OnBoard]] = defaultdict(list)
+        self._timed: list[tuple[float, int, Callable[[], object]]] = []
+        self._stepped = [event for event in events if event.step is not None]
+        self._after_hold_s = [
+            event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None
+        ]
         for event in events:
-            if event.step is not None:
-                self._stepped[event.step].append(event)
-            elif event.time_s is not None:
-                self.schedule(event.time_s, event)
+            if event.time_s is not None:
+                self.at(event.time_s, partial(perform, event))
 
-    def schedule(self, time_s: float, item: Item) -> None:
-        """Schedule an item for a time."""
-        heapq.heappush(self._timed, (time_s, next(self._order), item))
+    def at(self, time_s: float, action: Callable[[], object]) -> None:
+        """Let something happen at a time."""
+        heapq.heappush(self._timed, (time_s, next(self._order), action))
 
     def next_s(self) -> float | None:
-        """Return the time of the next scheduled item; None if there is none."""
+        """Return the time of what happens next; None if nothing has a time."""
         return self._timed[0][0] if self._timed else None
 
-    def pop(self) -> Item:
-        """Remove and return the next scheduled item."""
-        return heapq.heappop(self._timed)[2]
+    def go_on(self, now_s: float) -> None:
+        """Let the next thing happen, if its time has come."""
+        if self._timed and self._timed[0][0] <= now_s:
+            heapq.heappop(self._timed)[2]()
 
-    def before(self, step: int) -> list[OnBoard]:
-        """Remove and return the events of a step that precede its reading."""
-        return self._take(step, lambda event: not isinstance(event, BY_OPERATOR))
+    def before(self, step: int) -> None:
+        """Perform the events of a step that precede its reading, once."""
+        self._happen(step, by_operator=False)
 
-    def after(self, step: int) -> list[OnBoard]:
-        """Remove and return the events of a step that follow its reading."""
-        return self._take(step, lambda event: isinstance(event, BY_OPERATOR))
+    def after(self, step: int) -> None:
+        """Perform the events of a step that follow its reading, once."""
+        self._happen(step, by_operator=True)
 
-    def _take(self, step: int, wanted: Callable[[OnBoard], bool]) -> list[OnBoard]:
-        taken = [event for event in self._stepped[step] if wanted(event)]
-        self._stepped[step] = [event for event in self._stepped[step] if not wanted(event)]
-        return taken
+    def _happen(self, step: int, *, by_operator: bool) -> None:
+        due = [e for e in self._stepped if e.step == step and isinstance(e, BY_OPERATOR) is by_operator]
+        for event in due:
+            self._stepped.remove(event)
+            self._perform(event)
+
+    def held(self, now_s: float) -> None:
+        """The operator has held the vehicle: the next resume with `after_s` counts from now."""
+        if self._after_hold_s:
+            due_s = now_s + self._after_hold_s.pop(0)
+            self.at(due_s, partial(self._perform, Resume(time_s=due_s)))

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from aircraft.payload.options import SIMULATED, add_payload_argument
-from aircraft.remote.real import add_vehicle_url
+from aircraft.search.options import add_vehicle_url
 from link import cli
 from plume.outcome import outcome_text
 from plume.scenario import BUDGET_STEPS

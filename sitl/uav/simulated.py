@@ -9,20 +9,22 @@ from typing import NamedTuple, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.aircraft import GasSensor, Measured
 from aircraft.bridge.bus_link import BRIDGED
 from aircraft.mode import Mode
 from aircraft.operator import OPERATOR, CommandName, named, order
+from aircraft.payload.messages import Question
+from aircraft.payload.simulated import Simulated, turned
 from aircraft.search.clock import Clock
-from aircraft.search.events import OnBoard
+from aircraft.search.command import Equipment, Orders
 from aircraft.search.handling import Handling
-from aircraft.search.search import AfterStop, Search
+from aircraft.search.search import Search
 from aircraft.search.uav import Uav
 from aircraft.search.udp import UdpPorts
-from aircraft.state import Result, denied, not_now
+from aircraft.state import Arrived, Result, denied, not_now
 from link.bus.inbox import Inbox
-from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
-from link.bus.log import Log
-from link.bus.mavlink import BadFrame, Codec, Message, unpack
+from link.bus.keys import MAVLINK_OUT
+from link.bus.mavlink import Codec, Message, unpack
 from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival, Bus
 from link.signing.signer import Signing
@@ -157,20 +159,11 @@ class SimulatedClients:
 
     # ---- what they ask ----
 
-    def take(self, item: object) -> None:
-        """Take a payload of `mavlink/in`."""
-        if isinstance(item, Arrival) and self._bus:
-            try:
-                messages = unpack(item.payload)
-            except BadFrame as error:
-                self._bus.refuse(MAVLINK_IN, str(error), error.kind)
-                return
-            for message in messages:
-                self._take(
-                    message,
-                    self._ports[0],
-                    "through a bridge" if item.attachment == BRIDGED else "on the bus",
-                )
+    def take(self, arrival: Arrival) -> None:
+        """Take a payload of `mavlink/in`. Raises BadFrame."""
+        whence = "through a bridge" if arrival.attachment == BRIDGED else "on the bus"
+        for message in unpack(arrival.payload):
+            self._take(message, self._ports[0], whence)
 
     def _take(self, message: Message, port: Port, whence: str) -> None:
         with self._handling.of(message):
@@ -207,29 +200,38 @@ class SimulatedClients:
             self._udp.close()
 
 
-def simulated_uav(
-    vehicle: Vehicle,
-    world: World,
-    clock: Clock,
-    inbox: Inbox,
-    bus: Bus | None,
-    log: Log,
-    outs: Sequence[str] = (),
-    events: Sequence[OnBoard] = (),
-    after_stop: AfterStop = "return",
-    signing: Signing | None = None,
-) -> Uav:
-    """Return the uav service of a simulated vehicle. Raises ValueError for a UDP URL that cannot be used.
+class SimulatedSensor(GasSensor):
+    """A gas sensor in a simulated world."""
 
-    log: the bus's own log if there is a bus; outs: UDP URLs.
-    """
+    def __init__(self, world: World) -> None:
+        """Take the world of the mission."""
+        self._in_world = Simulated(world)
 
-    def clients(uav: Uav) -> SimulatedClients:
-        return SimulatedClients(
-            vehicle, uav.search, bus, outs, inbox, clock, uav.handling, lambda: uav.wind, signing
-        )
+    @property
+    def wind(self) -> tuple[float, float]:
+        """The wind now, (u cos φ, u sin φ) m/s: points to where it comes from."""
+        return self._in_world.world.wind
 
-    return Uav(vehicle, clients, world, clock, inbox, bus, log, events, after_stop)
+    def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured:
+        """Take reading `number`."""
+        north, east, _ = arrived.position
+        sample = self._in_world(Question(0, time_boot_ms, number, (east, north), None))
+        return Measured(arrived, sample.gas, sample.wind)
+
+    def blow(self, u: float | None, phi: float | None) -> None:
+        """Turn the wind, and the plume with it."""
+        self._in_world.world = turned(self._in_world.world, u, phi)
+
+
+def simulated_uav(vehicle: Vehicle, orders: Orders, equipment: Equipment) -> Uav:
+    """Return the uav service of a simulated vehicle. Raises ValueError for a URL of `outs`."""
+    clock, inbox, bus, say, outs, signing = equipment
+    search = Search(vehicle, orders.world.start, orders.after_stop, say)
+    sensor = SimulatedSensor(orders.world)
+    clients = SimulatedClients(
+        vehicle, search, bus, outs, inbox, clock, Handling(say.log), lambda: sensor.wind, signing
+    )
+    return Uav(search, clients, sensor, clock, inbox, bus, say, orders.events)
 
 
 class Asked:

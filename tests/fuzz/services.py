@@ -20,7 +20,9 @@ from aircraft.bridge.routing import Routes
 from aircraft.mode import Mode
 from aircraft.operator import OPERATOR, SEARCH, WANTED, change_mode, command, order
 from aircraft.search.clock import Clock
+from aircraft.search.command import Equipment, Orders
 from aircraft.search.search import RETURNING, SEARCHING
+from aircraft.search.speaker import Speaker
 from estimator import service as estimator
 from estimator.filter import Config
 from link.bus.frames import FrameStream
@@ -261,7 +263,9 @@ class _Flight:
     def __init__(self, *, searching: bool) -> None:
         clock = _SetClock()
         self.bus, self.vehicle, self.inbox = QuietBus(), Vehicle(VehicleConfig()), _Told(clock)
-        self._uav = simulated_uav(self.vehicle, _world(), clock, self.inbox, self.bus, self.bus.log)
+        self._uav = simulated_uav(
+            self.vehicle, Orders(_world()), Equipment(clock, self.inbox, self.bus, Speaker(self.bus.log))
+        )
         if searching:
             self.goes_on(*(LivelinessChange(name, True) for name in ("estimator", "agent")), 20.0, 15.0, 0.0)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from aircraft.remote.winds import parse_wind
+from aircraft.search.options import parse_wind
 from ground.tlog import flight as tlog
 from link.bus.mavlink import split, unpack, unpack_reading
 from link.record.reader import read

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from aircraft.payload.drivers import SENSOR_ERROR, TIMEOUT_S, Driven, check, kinds, make
+from aircraft.payload.drivers import SENSOR_ERROR, TIMEOUT_S, Driven, make
 from aircraft.payload.messages import Question, Sample
+from aircraft.payload.options import check, kinds
 from link.bus.log import Log
 from link.bus.tally import Tally
 

@@ -8,10 +8,12 @@ from types import SimpleNamespace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.remote import passing, real
+from aircraft.remote import passing
 from aircraft.remote.command import real_uav
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
+from aircraft.search.command import Equipment, Orders
+from aircraft.search.speaker import Speaker
 from aircraft.state import VehicleFailed
 from link.bus.inbox import Inbox
 from link.bus.mavlink import Message
@@ -55,7 +57,8 @@ def fly_until_struck(cockpit: Cockpit) -> None:
     """Run the uav service until its first signal."""
     bus = QuietBus()
     world = World(draw(1_000_000), 1, Gaussian())
-    uav = real_uav(cockpit.vehicle, world, InStep(cockpit), Struck(), bus)
+    equipment = Equipment(InStep(cockpit), Struck(), bus, Speaker(bus.log))
+    uav = real_uav(cockpit.vehicle, Orders(world), equipment)
     with pytest.raises(KeyboardInterrupt):
         uav.run()
 
@@ -103,7 +106,9 @@ def test_a_vehicle_is_told_to_return_until_it_obeys(monkeypatch: pytest.MonkeyPa
     """The link loses the first two commands, which are a second apart."""
     cockpit = Cockpit("ardupilot")
     cockpit.reads(1)
-    monkeypatch.setattr(real, "time", SimpleNamespace(monotonic=lambda: cockpit.now_s, sleep=lambda _: None))
+    monkeypatch.setattr(
+        passing, "time", SimpleNamespace(monotonic=lambda: cockpit.now_s, sleep=lambda _: None)
+    )
     send, lost = cockpit.radio.send, []
 
     def losing(message: Message) -> None:
@@ -121,7 +126,7 @@ def test_a_vehicle_is_told_to_return_until_it_obeys(monkeypatch: pytest.MonkeyPa
 def leave_when(cockpit: Cockpit, monkeypatch: pytest.MonkeyPatch, happens: Callable[[], None]) -> None:
     """End the service; while it leaves the vehicle something happens at each look."""
     monkeypatch.setattr(
-        real, "time", SimpleNamespace(monotonic=lambda: cockpit.now_s, sleep=lambda _: happens())
+        passing, "time", SimpleNamespace(monotonic=lambda: cockpit.now_s, sleep=lambda _: happens())
     )
     leave = passing.leave
 

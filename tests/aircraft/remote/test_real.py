@@ -13,7 +13,9 @@ import pytest
 
 from aircraft.payload.messages import Sample, pack_answer, unpack_question
 from aircraft.remote.command import real_uav
+from aircraft.search.command import Equipment, Orders
 from aircraft.search.events import Dropout, Hold, Land, OnBoard, Resume, Return
+from aircraft.search.speaker import Speaker
 from link.bus.inbox import Inbox
 from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, READING, WAYPOINT, Key
 from link.bus.mavlink import BadFrame, Codec, sender, unpack, unpack_reading, waypoint_message
@@ -112,7 +114,8 @@ def fly(
         return holds(bus)
 
     world = World(draw(1_000_000), 1, Gaussian())
-    uav = real_uav(cockpit.vehicle, world, InStep(cockpit), Told(bus, over), bus, events=events, wind=given)
+    equipment = Equipment(InStep(cockpit), Told(bus, over), bus, Speaker(bus.log))
+    uav = real_uav(cockpit.vehicle, Orders(world, events=events), equipment, given)
     with pytest.raises(KeyboardInterrupt):
         uav.run()
     return bus

@@ -5,7 +5,8 @@ there is no flight.
 import pytest
 
 from aircraft.remote.safety import Verdict
-from aircraft.remote.winds import Winds, WindSource, parse_wind, will_estimate
+from aircraft.remote.winds import Winds, WindSource, will_estimate
+from aircraft.search.options import parse_wind
 
 SCENARIO, EAST, NORTH = (0.7, -2.0), (2.0, 0.0), (0.0, 3.0)
 NO_DRAG = {"EK3_DRAG_BCOEF_X": 0.0, "EK3_DRAG_BCOEF_Y": 0.0, "EK3_DRAG_MCOEF": 0.0}

@@ -12,6 +12,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from aircraft.mode import Mode
 from aircraft.operator import change_mode, command
 from aircraft.search.clock import Clock
+from aircraft.search.command import Equipment, Orders
+from aircraft.search.speaker import Speaker
 from aircraft.state import Result, VehicleEvent, VehicleFailed
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
@@ -66,7 +68,9 @@ def flown(vehicle: Vehicle, *payloads: bytes) -> QuietBus:
     """Return the bus of a vehicle that was told these messages."""
     bus = QuietBus()
     world = World(draw(1_000_000), 1, Gaussian())
-    uav = simulated_uav(vehicle, world, Clock(1.0), Heard(*payloads), bus, bus.log)
+    uav = simulated_uav(
+        vehicle, Orders(world), Equipment(Clock(1.0), Heard(*payloads), bus, Speaker(bus.log))
+    )
     with pytest.raises(KeyboardInterrupt):
         uav.run()
     return bus

@@ -5,6 +5,8 @@ from typing import Any
 import pytest
 
 from aircraft.remote.command import real_uav
+from aircraft.search.command import Equipment, Orders
+from aircraft.search.speaker import Speaker
 from aircraft.state import VehicleFailed
 from link.bus.keys import PAYLOAD_IN, Key
 from link.bus.session import LivelinessChange
@@ -40,8 +42,10 @@ def waited(cockpit: Cockpit, bus: Others) -> tuple[str, list[str]]:
         return False
 
     world = World(draw(1_000_000), 1, Gaussian())
+    equipment = Equipment(InStep(cockpit), Told(bus, over), bus, Speaker(bus.log))
+    uav = real_uav(cockpit.vehicle, Orders(world), equipment)
     with pytest.raises(VehicleFailed) as failure:
-        real_uav(cockpit.vehicle, world, InStep(cockpit), Told(bus, over), bus).run()
+        uav.run()
     assert not cockpit.ap.armed
     return str(failure.value), [*warnings]
 

@@ -9,9 +9,11 @@ import time
 from aircraft.bridge.address import Address
 from aircraft.bridge.pipe import Retry
 from aircraft.bridge.serial_line import open_device
-from aircraft.payload.drivers import LARGEST, NO_NUMBER
+from aircraft.payload.messages import LARGEST
 from link.bus.log import Log
 
+NO_NUMBER = "not a number"
+"""What a payload counts in its health for each line that is none."""
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 END_OF_LINE = re.compile(rb"[\r\n]")
 LONGEST = 100
@@ -70,7 +72,7 @@ class NumberLines:
         return None
 
 
-class SerialNumbers:
+class SerialSensor:
     """The driver of a serial line of numbers. A device that is unplugged may come back."""
 
     def __init__(self, address: Address, log: Log) -> None:

@@ -15,8 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aircraft.bridge.address import Address
-from aircraft.payload.drivers import NO_NUMBER
-from aircraft.payload.serial_numbers import LONGEST, NumberLines, SerialNumbers
+from aircraft.payload.serial_sensor import LONGEST, NO_NUMBER, NumberLines, SerialSensor
 from link.bus.log import Log
 from link.bus.tally import Tally
 
@@ -136,8 +135,8 @@ def device(tmp_path: Path) -> Iterator[Device]:
 
 
 @pytest.fixture
-def sensor(device: Device, log: Log) -> Iterator[SerialNumbers]:
-    sensor = SerialNumbers(Address("serial", str(device.path), 57600), log)
+def sensor(device: Device, log: Log) -> Iterator[SerialSensor]:
+    sensor = SerialSensor(Address("serial", str(device.path), 57600), log)
     sensor.open()
     yield sensor
     sensor.close()
@@ -146,7 +145,7 @@ def sensor(device: Device, log: Log) -> Iterator[SerialNumbers]:
 class Asked(threading.Thread):
     """A value that is waited for, in a thread of its own."""
 
-    def __init__(self, sensor: SerialNumbers, timeout_s: float = 30.0) -> None:
+    def __init__(self, sensor: SerialSensor, timeout_s: float = 30.0) -> None:
         super().__init__()
         self._sensor, self._timeout_s = sensor, timeout_s
         self._value = math.nan
@@ -167,7 +166,7 @@ class Asked(threading.Thread):
         return self._value
 
 
-def then_says(monkeypatch: pytest.MonkeyPatch, sensor: SerialNumbers, device: Device, data: bytes) -> None:
+def then_says(monkeypatch: pytest.MonkeyPatch, sensor: SerialSensor, device: Device, data: bytes) -> None:
     """Have the device say something as soon as the question has come."""
     forget = sensor.forget
 
@@ -179,7 +178,7 @@ def then_says(monkeypatch: pytest.MonkeyPatch, sensor: SerialNumbers, device: De
 
 
 def test_the_first_number_after_the_question_is_the_value(
-    device: Device, sensor: SerialNumbers, monkeypatch: pytest.MonkeyPatch
+    device: Device, sensor: SerialSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     device.say(b"begun\n1.0\n2.0\n")  # before the question
     then_says(monkeypatch, sensor, device, b"warm\n3.5\n4.5\n")
@@ -187,21 +186,21 @@ def test_the_first_number_after_the_question_is_the_value(
 
 
 def test_a_number_whose_line_began_before_the_question_and_ended_after_it_counts_whole(
-    device: Device, sensor: SerialNumbers, monkeypatch: pytest.MonkeyPatch
+    device: Device, sensor: SerialSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     device.say(b"begun\n10.")
     then_says(monkeypatch, sensor, device, b"25\n")
     assert sensor.read(30.0) == 10.25
 
 
-def test_a_line_that_hangs_has_no_value_after_the_time_allowed(sensor: SerialNumbers) -> None:
+def test_a_line_that_hangs_has_no_value_after_the_time_allowed(sensor: SerialSensor) -> None:
     began = time.monotonic()
     assert math.isnan(sensor.read(0.2))
     assert time.monotonic() - began >= 0.2  # it has waited
 
 
 def test_after_much_that_was_not_read_no_number_is_made_of_pieces(
-    device: Device, sensor: SerialNumbers, monkeypatch: pytest.MonkeyPatch
+    device: Device, sensor: SerialSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     device.say(b"1.0\n" * 500 + b"9")  # as much may have been lost: what follows need not belong to the 9
     then_says(monkeypatch, sensor, device, b".5\n2.5\n")
@@ -209,7 +208,7 @@ def test_after_much_that_was_not_read_no_number_is_made_of_pieces(
 
 
 def test_a_device_that_is_unplugged_is_opened_again_when_it_is_back(
-    device: Device, sensor: SerialNumbers
+    device: Device, sensor: SerialSensor
 ) -> None:
     assert Asked(sensor).hears(device, b"1.0\n") == 1.0
     device.unplug()
@@ -219,7 +218,7 @@ def test_a_device_that_is_unplugged_is_opened_again_when_it_is_back(
 
 
 def test_a_device_that_is_not_there_at_first_may_come_later(tmp_path: Path, log: Log) -> None:
-    sensor = SerialNumbers(Address("serial", str(tmp_path / "late"), 57600), log)
+    sensor = SerialSensor(Address("serial", str(tmp_path / "late"), 57600), log)
     sensor.open()
     assert math.isnan(sensor.read(0.0))
     device = Device(tmp_path / "late")

@@ -1,0 +1,127 @@
+"""What `plumeward uav` does for any vehicle: join the bus, open the links, fly until interrupted."""
+
+import argparse
+import contextlib
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from aircraft.bridge.address import parse_out
+from aircraft.search.clock import Clock
+from aircraft.search.events import OnBoard
+from aircraft.search.search import AfterStop
+from aircraft.search.speaker import Speaker
+from aircraft.search.uav import Uav
+from aircraft.state import VehicleFailed
+from link import cli
+from link.bus.inbox import Inbox
+from link.bus.log import Log
+from link.bus.opening import DEFAULT_ROUTER
+from link.bus.session import Bus
+from link.bus.tally import Tally
+from link.signing.signer import Signing
+from plume.world import World
+
+
+@dataclass(frozen=True)
+class Orders:
+    """What a uav does, whichever its vehicle is."""
+
+    world: World
+    """The mission's; of a real vehicle it is what a simulated payload measures."""
+    speedup: float = 1.0
+    events: Sequence[OnBoard] = ()
+    after_stop: AfterStop = "return"
+    estimator: str = ""
+    """Flags that its estimator needs."""
+
+
+class Equipment(NamedTuple):
+    """What a uav is connected to."""
+
+    clock: Clock
+    inbox: Inbox
+    bus: Bus | None
+    """None for a plain MAVLink vehicle."""
+    say: Speaker
+    outs: Sequence[str] = ()
+    """URLs of its clients beside the bus."""
+    signing: Signing | None = None
+
+
+Make = Callable[[Equipment, contextlib.ExitStack], Uav]
+"""Makes the service; what it opens is closed with the stack. Raises ValueError for a URL of `outs` that
+cannot be used.
+"""
+
+
+@contextlib.contextmanager
+def given_by(flag: str) -> Iterator[None]:
+    """Blame a flag for a ValueError. Raises BadInput."""
+    try:
+        yield
+    except cli.BadInput:
+        raise
+    except ValueError as error:
+        raise cli.BadInput(f"{flag}: {error}") from None
+
+
+def fly(args: argparse.Namespace, orders: Orders, make: Make) -> int:
+    """Fly until interrupted; returns the exit status. Raises BadInput."""
+    outs = [parse_out(url, args.instance) for url in args.out]
+    namespace, inbox = args.namespace or f"uav/{args.instance + 1}", Inbox()
+    sysid, bus = args.sysid or args.instance + 1, None
+    log = Log("uav", namespace, Tally(), args.log_level)
+    if not args.out and not args.connect and not args.vehicle:
+        usual = parse_out("udpout:127.0.0.1", args.instance)
+        log.info(
+            f"no client can connect by UDP without --out; --out {usual.text} is for {usual.other_side}; "
+            "QGroundControl: port 14550"
+        )
+    with contextlib.ExitStack() as stack:
+        if args.connect or args.vehicle or not args.out:
+            endpoint = args.connect or DEFAULT_ROUTER
+            bus = stack.enter_context(
+                Bus("uav", endpoint, namespace, inbox, args.log_level, secure=args.secure, sole=True)
+            )
+            log = bus.log
+            for line in _how_to_join(args, orders, endpoint, namespace, sysid):
+                log.info(line)
+        signing = None
+        if args.sign:
+            with given_by("--sign"):
+                signing = stack.enter_context(contextlib.closing(Signing(args.sign, f"uav-{sysid}", log)))
+        with given_by("--out"):
+            clock, urls = Clock(orders.speedup), [out.text for out in outs]
+            uav = make(Equipment(clock, inbox, bus, Speaker(log), urls, signing), stack)
+        for out in outs:
+            log.info(f"MAVLink to {out.text}; {out.other_side}")
+            if (risk := out.risk("command the vehicle")) and not args.sign:
+                log.warning(risk)
+        try:
+            uav.run()
+        except VehicleFailed as failure:
+            print(f"error: {failure}", file=sys.stderr)
+            return cli.FAILED
+    return 0
+
+
+def _how_to_join(
+    args: argparse.Namespace, orders: Orders, endpoint: str, namespace: str, sysid: int
+) -> Iterator[str]:
+    """Yield what the log says at first: where the vehicle is, and what starts the services that it needs."""
+    needed = "payload, estimator and agent" if args.vehicle else "estimator and agent"
+    ends = f"; gives up after {args.wait:g} s (--wait)" if args.vehicle else ""
+    yield f"on the bus at {endpoint} as {namespace}; takes off when {needed} are there{ends}"
+    joining = f"--connect {endpoint} --namespace {namespace}"
+    joining += f" --secure {args.secure}" if args.secure else ""
+    who = "" if args.vehicle and not args.sysid else f" --sysid {sysid}"
+    release = orders.world.scenario
+    yield (
+        f"its estimator: plumeward estimator {joining} --rate {release.q!r} --diffusivity "
+        f"{release.d!r}{orders.estimator}{who}"
+    )
+    yield f"its agent: plumeward agent {joining}{who}"
+    if args.vehicle:
+        yield f"its payload: plumeward payload {joining}"
