@@ -5,12 +5,12 @@ from collections.abc import Callable, Collection
 from typing import NamedTuple, Protocol
 
 from aircraft.config import AircraftConfig
-from aircraft.mode import Mode
 from aircraft.operator import CommandName
 from aircraft.state import Arrived, Ned, Result, VehicleEvent
 from link.bus.keys import SEARCHERS, Key
 from link.bus.mavlink import Message
 from link.bus.session import Arrival
+from link.modes import Mode
 
 
 class Aircraft(Protocol):

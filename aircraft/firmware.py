@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.mode import Mode
-from link.modes import MEANINGS, mode_name
+from link.modes import MEANINGS, Mode, mode_name
 
 COMING_DOWN = (Mode.RETURN, Mode.LAND)
 ESTIMATES = mavlink.ESTIMATOR_POS_HORIZ_ABS

@@ -10,9 +10,9 @@ from typing import Literal
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from aircraft.state import ACCEPTED, Result, not_now
 from link.bus.mavlink import ONBOARD_COMPUTER, Message
+from link.modes import Mode
 
 CommandName = Literal["hold", "resume", "return", "land"]
 """What an operator wants: the words of the page and of mission scripts."""

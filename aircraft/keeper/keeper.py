@@ -24,12 +24,11 @@ from aircraft.bridge.endpoints import endpoint_of
 from aircraft.bridge.links import TICK_S, Channel, Hub, Traffic
 from aircraft.bridge.pipe import Pipe
 from aircraft.firmware import ARDUCOPTER, COMING_DOWN, FIRMWARES, stands, unfit
-from aircraft.mode import Mode
 from link.bus.frames import Frame
 from link.bus.log import Log
 from link.bus.tally import Tally
 from link.early import ask_for_stacks
-from link.modes import px4_mode
+from link.modes import Mode, px4_mode
 
 SILENT_S = 3.0
 """Real time without a HEARTBEAT of the uav after which it counts as silent, whatever the speed-up: its

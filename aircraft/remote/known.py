@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.firmware import ARDUCOPTER, ESTIMATES, FIRMWARES, Firmware, stands
-from aircraft.mode import Mode
 from aircraft.remote.glitches import Fix, Glitches
 from aircraft.state import ZERO, Ned, as_float32
 from link.bus.mavlink import Message, Texts
+from link.modes import Mode
 from plume.geodesy import home_from
 
 LOST_S = 3.0  # time without a HEARTBEAT after which the link counts as lost; it comes once a second

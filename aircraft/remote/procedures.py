@@ -8,12 +8,12 @@ import math
 from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.firmware import COMING_DOWN
-from aircraft.mode import Mode
 from aircraft.operator import NO_ANSWER
 from aircraft.remote.arrival import Targets
 from aircraft.remote.commander import Commander, Steps
 from aircraft.remote.known import Known
 from aircraft.state import Led, Result, Said
+from link.modes import Mode
 
 ARMING_S, ARM_AGAIN_S = 60.0, 3.0  # a refused arming is tried again every ARM_AGAIN_S, for at most ARMING_S
 HOME_S = 3.0  # longest wait for the home that arming sets

@@ -6,7 +6,6 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.config import AircraftConfig
 from aircraft.firmware import COMING_DOWN
-from aircraft.mode import Mode
 from aircraft.remote.arrival import ArrivalRule
 from aircraft.remote.commander import Commander
 from aircraft.remote.course import Course
@@ -26,6 +25,7 @@ from aircraft.state import (
     metres,
     not_now,
 )
+from link.modes import Mode
 
 POLL_S = 0.05
 WIND_S = 5.0  # a wind that was told longer ago is not known

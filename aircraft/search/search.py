@@ -12,12 +12,12 @@ from typing import Literal
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.aircraft import Aircraft
-from aircraft.mode import Mode
 from aircraft.operator import BY_LAUNCHER, WANTED, CommandName
 from aircraft.search.answers import Answers
 from aircraft.state import ACCEPTED, Ned, Result, denied, not_now
 from link.bus.mavlink import Message
 from link.bus.messages import Stop
+from link.modes import Mode
 
 AfterStop = Literal["return", "land", "hold"]
 """What the vehicle does once the search is over: return home and land, land on the spot, or hold until

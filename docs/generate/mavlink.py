@@ -8,8 +8,8 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from link.bus.frames import LAYOUTS
+from link.modes import Mode
 from sitl.autopilot.commands import COMMANDS, REQUESTED
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.lists import ACTION_S, MOST_ITEMS, RETRY_S

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from aircraft.operator import (
     AUTOPILOT,
     NO_ANSWER,
@@ -24,7 +23,7 @@ from aircraft.operator import (
 from ground.view.live import LiveVehicle
 from link.bus.frames import Frame
 from link.bus.mavlink import BadFrame, Codec, Message, Texts
-from link.modes import meaning
+from link.modes import Mode, meaning
 from scene.follow.area import HEARTBEAT
 from scene.follow.telemetry import TEXT, frames
 

@@ -1,4 +1,4 @@
 """The simulated vehicle and its MAVLink: motion, modes, missions, fence, telemetry, commands and services.
 
-Imports: plume, link.bus, aircraft.
+Imports: plume, link, link.bus, aircraft.
 """

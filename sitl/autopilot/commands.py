@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from aircraft.state import ACCEPTED, UNSUPPORTED, Result, denied
 from link.bus.mavlink import Message
 from link.bus.px4 import AvailableModes, ProtocolVersion
+from link.modes import Mode
 from sitl.autopilot.parameters import Parameters
 from sitl.autopilot.plan import ABOVE_HOME, ABOVE_SEA
 from sitl.autopilot.telemetry import Telemetry

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from aircraft.state import (
     ACCEPTED,
     LOW_BATTERY,
@@ -27,6 +26,7 @@ from aircraft.state import (
     metres,
     not_now,
 )
+from link.modes import Mode
 from sitl.autopilot import plan
 from sitl.autopilot.config import HOLD, LAND, RETURN, TERMINATE, VehicleConfig
 from sitl.autopilot.motion import Motion, Trajectory, fall, halt, tilt, turn, wrapped

@@ -11,7 +11,6 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.aircraft import GasSensor, Measured
 from aircraft.bridge.bus_link import BRIDGED
-from aircraft.mode import Mode
 from aircraft.operator import OPERATOR, CommandName, named, order
 from aircraft.payload.messages import Question
 from aircraft.payload.simulated import Simulated, turned
@@ -27,6 +26,7 @@ from link.bus.keys import MAVLINK_OUT
 from link.bus.mavlink import Codec, Message, unpack
 from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival, Bus
+from link.modes import Mode
 from link.signing.signer import Signing
 from plume.world import World
 from sitl.autopilot.messages import Snapshot

@@ -6,8 +6,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from aircraft.state import Said
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.parameters import Parameters

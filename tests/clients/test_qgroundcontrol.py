@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
-from aircraft.mode import Mode
+from link.modes import Mode
 from tests.clients.qgroundcontrol import FENCE, MISSION, RALLY, QGroundControl, place, polygon, same, waypoint
 
 ACCEPTED, UNSUPPORTED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_UNSUPPORTED

@@ -17,7 +17,6 @@ from pymavlink.dialects.v20 import common as mavlink
 from agent import service as agent
 from agent.policies import OURS, reach
 from aircraft.bridge.routing import Routes
-from aircraft.mode import Mode
 from aircraft.operator import OPERATOR, SEARCH, WANTED, change_mode, command, order
 from aircraft.search.clock import Clock
 from aircraft.search.command import Equipment, Orders
@@ -33,6 +32,7 @@ from link.bus.mavlink import Codec, Reading, pack_reading, split, waypoint_messa
 from link.bus.messages import Belief, Health, Stop, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.bus.tally import FAULT, REPEATED, Tally
+from link.modes import Mode
 from link.record.reader import read
 from plume.scenario import AREA_M, draw
 from plume.sensor import GAUSSIAN

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from pymavlink import mavutil
 
-from aircraft.mode import Mode
+from link.modes import Mode
 
 ARM, SET_MODE, RETURN = 400, 176, 20
 

@@ -10,7 +10,7 @@ import pytest
 from pymavlink import mavutil, mavwp
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
+from link.modes import Mode
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 

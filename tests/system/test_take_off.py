@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from pymavlink import mavutil
 
-from aircraft.mode import Mode
+from link.modes import Mode
 
 TAKEOFF, ARM, ARMED = 22, 400, 128
 

@@ -11,13 +11,13 @@ import pytest
 
 from aircraft.bridge.address import parse_address
 from aircraft.keeper.connection import Connection
-from aircraft.mode import Mode
 from aircraft.remote.commander import Commander, VehicleFailed
 from aircraft.remote.safety import Check, Verdict
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.state import Arrived, Said
 from link.bus.log import Log
 from link.bus.tally import Tally
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from tests.autopilots.settings import Settings
 from tests.autopilots.wire import Double

@@ -8,7 +8,6 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.mode import Mode
 from aircraft.remote.commander import Commander
 from aircraft.remote.passing import RealClients
 from aircraft.remote.safety import Check, Verdict
@@ -24,6 +23,7 @@ from link.bus.mavlink import Codec, Message, unpack, unpack_waypoint, waypoint_m
 from link.bus.messages import Stop
 from link.bus.session import Arrival, Bus
 from link.bus.tally import Tally
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from tests.autopilots.body import DT_S
 from tests.autopilots.settings import Settings

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from aircraft.operator import SEARCH, order
 from aircraft.search.search import LANDED, PAUSED, SEARCHING
+from link.modes import Mode
 from tests.aircraft.remote.cockpit import START, Cockpit, away_m
 
 KINDS = ("ardupilot", "px4")

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from aircraft.mode import Mode
 from aircraft.search.search import LANDED
+from link.modes import Mode
 from tests.aircraft.remote import test_flight, test_pilot, test_reactions
 from tests.aircraft.remote.cockpit import Cockpit
 from tests.autopilots.own import WIND

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from aircraft.mode import Mode
 from aircraft.remote.commander import Commander
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.search import LANDED, PAUSED, RETURNING, Search
 from aircraft.state import VehicleFailed
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from tests.aircraft.remote.cockpit import Cockpit
 

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from aircraft.operator import change_mode, command
 from aircraft.search.clock import Clock
 from aircraft.search.command import Equipment, Orders
@@ -19,6 +18,7 @@ from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
 from link.bus.mavlink import Codec, unpack
 from link.bus.session import Arrival
+from link.modes import Mode
 from plume.scenario import draw
 from plume.sensor import Gaussian
 from plume.world import World

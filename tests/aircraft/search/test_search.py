@@ -8,12 +8,12 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from aircraft.operator import LAUNCHER
 from aircraft.search.search import Search
 from aircraft.state import Arrived
 from link.bus.mavlink import POSITION_ONLY, Message, waypoint_message
 from link.bus.messages import Stop
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence
 from sitl.autopilot.plan import Item, step

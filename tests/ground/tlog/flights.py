@@ -2,8 +2,8 @@
 
 import math
 
-from aircraft.mode import Mode
 from aircraft.state import Arrived, Ned, Said, VehicleEvent
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.vehicle import Vehicle
 

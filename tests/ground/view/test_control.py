@@ -3,10 +3,10 @@
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName
 from ground.view.control import Awaited, CommandAnswer
 from link.bus.mavlink import Codec
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.vehicle import Vehicle

@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from aircraft.operator import OPERATOR
 from ground.view.access import AccessRules
 from ground.view.control import CommandAnswer, operate
 from ground.view.live import LiveVehicle
 from ground.view.server import Client, PageServer
 from link.bus.mavlink import Codec
+from link.modes import Mode
 from scene.follow.history import History
 from scene.scene import Backdrop, Scene
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aircraft.mode import Mode
 from aircraft.state import Said
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence, Polygon, Rally
 from sitl.autopilot.motion import Limits, Trajectory

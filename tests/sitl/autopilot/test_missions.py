@@ -10,8 +10,8 @@ from itertools import pairwise
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from link.bus.px4 import MissionCurrent
+from link.modes import Mode
 from plume.geodesy import to_global
 from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.protocol import MavlinkProtocol

@@ -8,8 +8,8 @@ import random
 
 import pytest
 
-from aircraft.mode import Mode
 from aircraft.state import Arrived, Said
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.messages import Snapshot, position_target_local_ned
 from sitl.autopilot.setpoint import Setpoint

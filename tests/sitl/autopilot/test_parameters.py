@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.vehicle import Vehicle

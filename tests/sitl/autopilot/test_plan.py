@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from aircraft.state import Reached
+from link.modes import Mode
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence

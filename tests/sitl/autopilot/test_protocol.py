@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
+from link.modes import Mode
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.messages import Snapshot

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.mode import Mode
 from link.bus.mavlink import Reading, unpack_reading
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.telemetry import STREAMS, Telemetry

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aircraft.mode import Mode
 from aircraft.state import Arrived, Said
+from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.motion import GRAVITY_MPS2
 from sitl.autopilot.setpoint import Setpoint
