@@ -22,8 +22,7 @@ class Aircraft(Protocol):
     def config(self) -> AircraftConfig:
         """Where it may fly."""
 
-    is_searched: bool
-    """True while its search leads it."""
+    is_searched: bool  # True while its search leads it
 
     @property
     def now_s(self) -> float:
@@ -94,8 +93,7 @@ class Clients(Protocol):
     component.
     """
 
-    component: int
-    """The component id of what the search says."""
+    component: int  # the component id of what the search says
 
     @property
     def system(self) -> int:
@@ -136,19 +134,16 @@ class Measured(NamedTuple):
     """What a sensor says of the place where the vehicle has arrived."""
 
     arrived: Arrived
-    gas: float
-    """In the sensor's unit; NaN: it has no value now."""
+    gas: float  # in the sensor's unit; NaN: it has no value now
+    # (u cos φ, u sin φ) m/s, points to where the wind comes from, as float32; None: nobody knows it now
     wind: tuple[float, float] | None
-    """(u cos φ, u sin φ) m/s, points to where the wind comes from, as float32; None: nobody knows it now."""
 
 
 class GasSensor:
     """A gas sensor that answers at once. One that is asked over the bus says more."""
 
-    services = SEARCHERS
-    """The services without which the search does not begin."""
-    keys: tuple[Key, ...] = ()
-    """On which it is answered."""
+    services = SEARCHERS  # the services without which the search does not begin
+    keys: tuple[Key, ...] = ()  # on which it is answered
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured | None:
         """Take reading `number`; None: the values come later, through `take`."""

@@ -10,13 +10,11 @@ from aircraft.state import Ned, metres
 class AircraftConfig:
     """Where an aircraft may fly, and how long it may be left without a waypoint."""
 
-    area_m: float = 30.0
-    """Side of the search area [0, area]²: x east, y north, origin at home."""
-    ceiling_m: float = 120.0
-    """Highest altitude above home."""
+    area_m: float = 30.0  # side of the search area [0, area]²: x east, y north, origin at home
+    ceiling_m: float = 120.0  # highest altitude above home
     takeoff_altitude_m: float = 5.0
+    # Time without a setpoint after which OFFBOARD fails safe: return in the air, disarm on the ground
     silence_s: float = 30.0
-    """Time without a setpoint after which OFFBOARD fails safe: return in the air, disarm on the ground."""
 
     def outside(self, position: Ned) -> tuple[str, str] | None:
         """Return (kind of reason, reason) if a position (NED, m from home) is outside the area or the

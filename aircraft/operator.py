@@ -14,34 +14,28 @@ from aircraft.state import ACCEPTED, Result, not_now
 from link.bus.mavlink import ONBOARD_COMPUTER, Message
 from link.modes import Mode
 
+# What an operator wants: the words of the page and of mission scripts
 CommandName = Literal["hold", "resume", "return", "land"]
-"""What an operator wants: the words of the page and of mission scripts."""
+# The flight mode that each leads to
 WANTED: dict[CommandName, Mode] = {
     "hold": Mode.HOLD,
     "resume": Mode.OFFBOARD,
     "return": Mode.RETURN,
     "land": Mode.LAND,
 }
-"""The flight mode that each leads to."""
-OPERATOR = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
-"""System id and component id of a ground station."""
+OPERATOR = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)  # system id and component id of a ground station
+# Component ids of a vehicle's autopilot, and of the search that flies a real one
 AUTOPILOT, SEARCH = int(mavlink.MAV_COMP_ID_AUTOPILOT1), ONBOARD_COMPUTER
-"""Component ids of a vehicle's autopilot, and of the search that flies a real one."""
+# System id and component id of the launcher, which ends a search whose budget is spent, and what people are
+# told of it
 LAUNCHER, BY_LAUNCHER = (OPERATOR[0], mavlink.MAV_COMP_ID_PATHPLANNER), "the launcher"
-"""System id and component id of the launcher, which ends a search whose budget is spent, and what people
-are told of it.
-"""
-TRIES = 5
-"""So often a command is sent that nobody acknowledges."""
-IN_PROGRESS_S = 10.0
-"""Longest time for a command that the autopilot says is in progress."""
+TRIES = 5  # times that a command is sent that nobody acknowledges
+IN_PROGRESS_S = 10.0  # longest time for a command that the autopilot says is in progress
+# Longest time until telemetry shows what an acknowledged command has changed: a HEARTBEAT comes once a second
 DONE_S = 3.0
-"""Longest time until telemetry shows what an acknowledged command has changed: a HEARTBEAT comes once a
-second.
-"""
-REASON_S = 0.3
-"""Time in which the text with the reason follows a refusal."""
+REASON_S = 0.3  # time in which the text with the reason follows a refusal
 NO_ANSWER = "no answer"
+# What an answer means that comes without a reason
 UNSAID = {
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "the vehicle refuses it for now",
     mavlink.MAV_RESULT_DENIED: "the vehicle refuses it",
@@ -49,7 +43,6 @@ UNSAID = {
     mavlink.MAV_RESULT_FAILED: "the vehicle could not do it",
     mavlink.MAV_RESULT_IN_PROGRESS: "the vehicle is still at it",
 }
-"""What an answer means that comes without a reason."""
 
 
 def command(system: int, number: int, *params: float, component: int = AUTOPILOT) -> Message:

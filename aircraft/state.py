@@ -5,13 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
+# (north, east, down): position in m from home, velocity in m/s or acceleration in m/s². Down grows towards
+# the ground.
 Ned = tuple[float, float, float]
-"""(north, east, down): position in m from home, velocity in m/s or acceleration in m/s². Down grows
-towards the ground.
-"""
 ZERO: Ned = (0.0, 0.0, 0.0)
-LOW_BATTERY = 0.15
-"""Share of the charge at which the low-battery warning comes; PX4's default."""
+LOW_BATTERY = 0.15  # share of the charge at which the low-battery warning comes; PX4's default
 
 
 def as_float32(position: Ned) -> Ned:
@@ -31,21 +29,18 @@ class Arrived(NamedTuple):
 
     time_s: float
     position: Ned
+    # A real autopilot's clock when it was at the position; None: the vehicle has no clock but that of the
+    # simulation
     boot_ms: int | None = None
-    """A real autopilot's clock when it was at the position; None: the vehicle has no clock but that of the
-    simulation.
-    """
 
 
 class Said(NamedTuple):
     """A text that the autopilot sends unasked, as STATUSTEXT (253)."""
 
     time_s: float
-    severity: int
-    """MAV_SEVERITY."""
+    severity: int  # MAV_SEVERITY
     text: str
-    heard: bool = False
-    """Whether a real autopilot has said it itself, so that its clients have heard it."""
+    heard: bool = False  # whether a real autopilot has said it itself, so that its clients have heard it
 
 
 class Reached(NamedTuple):
@@ -61,10 +56,8 @@ class Led(NamedTuple):
     """
 
     time_s: float
-    mode: str
-    """The autopilot's name of the mode, and that the target is another one."""
-    by: str = ""
-    """Who asked for it, if a client has; empty: the autopilot itself, or a pilot by another way."""
+    mode: str  # the autopilot's name of the mode, and that the target is another one
+    by: str = ""  # who asked for it, if a client has; empty: the autopilot itself, or a pilot by another way
 
 
 VehicleEvent = Arrived | Said | Reached | Led
@@ -79,8 +72,7 @@ class Result(NamedTuple):
 
     code: int
     reason: str = ""
-    kind: str = ""
-    """Kind of reason, for counting refused setpoints; empty for other commands."""
+    kind: str = ""  # kind of reason, for counting refused setpoints; empty for other commands
 
     @property
     def accepted(self) -> bool:

@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from aircraft.state import Result
 from link.bus.mavlink import TEXT_LENGTH, Message
 
+# Clients repeat setpoints at 20 Hz: each kind of refusal is reported at most once per interval
 REFUSAL_INTERVAL_S = 1.0
-"""Clients repeat setpoints at 20 Hz: each kind of refusal is reported at most once per interval."""
 
 
 class Words:
@@ -17,8 +17,7 @@ class Words:
 
     def __init__(self) -> None:
         """Begin without a word."""
-        self.refused: Counter[str] = Counter()
-        """Refused setpoints, by kind of reason."""
+        self.refused: Counter[str] = Counter()  # refused setpoints, by kind of reason
         self._told_s: dict[str, float] = {}  # when each kind of refusal was last reported
         self._chunked_texts = 0
 

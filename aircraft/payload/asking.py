@@ -23,8 +23,7 @@ class Asking:
     ) -> None:
         """Take what publishes on `payload/in`, the vehicle's codec, and the clock of real time, s."""
         self._send = send
-        self.codec = codec
-        """Packs the questions."""
+        self.codec = codec  # packs the questions
         self._clock = clock
         self._open: tuple[int, bytes] | None = None  # time_boot_ms of the question, and its frames
         self._repeating = Backoff(RESEND_FIRST_S, RESEND_LAST_S)

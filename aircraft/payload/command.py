@@ -13,8 +13,7 @@ from link.bus.inbox import Inbox
 from link.bus.session import Bus
 from plume.world import World
 
-OF_THE_PLUME = ("mission", "seed", "sensor", "world")
-"""Arguments of the simulated payload alone."""
+OF_THE_PLUME = ("mission", "seed", "sensor", "world")  # arguments of the simulated payload alone
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,13 +12,10 @@ from aircraft.payload.serial_sensor import SerialSensor
 from link import cli
 from link.bus.log import Log
 
+# Real time that a sensor may take for a value; after that it has none (NaN), and the vehicle asks again
 TIMEOUT_S = 5.0
-"""Real time that a sensor may take for a value; after that it has none (NaN), and the vehicle asks again.
-"""
-SENSOR_ERROR = "sensor error"
-"""What a payload counts in its health when a driver fails."""
-Measure = Callable[[Question], Sample]
-"""Measures once; may take TIMEOUT_S."""
+SENSOR_ERROR = "sensor error"  # what a payload counts in its health when a driver fails
+Measure = Callable[[Question], Sample]  # measures once; may take TIMEOUT_S
 
 
 class Driver(Protocol):

@@ -10,41 +10,31 @@ from link.bus.frames import messages_in
 from link.bus.mavlink import GAS_NAME, BadFrame, Codec, gas_message, split, wind_message
 
 NUMBER_NAME = "sample"
+# The payload's MAVLink component id; its system id is the vehicle's
 PAYLOAD_COMPONENT = mavlink.MAV_COMP_ID_PERIPHERAL
-"""The payload's MAVLink component id; its system id is the vehicle's."""
-LARGEST = 3.4028234e38
-"""Largest float32: the wire carries no larger value."""
-TIMED = frozenset({"LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_INT", "NAMED_VALUE_FLOAT"})
-"""Messages of one question or answer: they share its time. Others beside them are ignored."""
-Wind = tuple[float, float]
-"""(u cos φ, u sin φ) m/s: points to where the wind comes from."""
+LARGEST = 3.4028234e38  # largest float32: the wire carries no larger value
+# Messages of a question or an answer: they share its time, with WIND_COV. Others are ignored.
+TIMED = frozenset({"LOCAL_POSITION_NED", "NAMED_VALUE_INT", "NAMED_VALUE_FLOAT"})
+Wind = tuple[float, float]  # (u cos φ, u sin φ) m/s: points to where the wind comes from
 
 
 class Question(NamedTuple):
     """Measure here, now. All floats are exact float32 values, as on the wire."""
 
-    system: int
-    """MAVLink system id of the vehicle that asks."""
-    time_boot_ms: int
-    """Identifies the question and its answer."""
-    number: int
-    """Number of the reading, 0 at the start."""
-    position: tuple[float, float]
-    """(x, y) m, x east, y north: where the vehicle reports to be."""
-    wind: Wind | None
-    """As the autopilot reports it; None if it reports none."""
+    system: int  # MAVLink system id of the vehicle that asks
+    time_boot_ms: int  # identifies the question and its answer
+    number: int  # number of the reading, 0 at the start
+    position: tuple[float, float]  # (x, y) m, x east, y north: where the vehicle reports to be
+    wind: Wind | None  # as the autopilot reports it; None if it reports none
 
 
 class Sample(NamedTuple):
     """The payload's answer. All floats are exact float32 values, as on the wire."""
 
-    time_boot_ms: int
-    """That of the question."""
-    gas: float
-    """In the sensor's unit: g/m³, or a count of hits; NaN: the sensor has no value."""
+    time_boot_ms: int  # that of the question
+    gas: float  # in the sensor's unit: g/m³, or a count of hits; NaN: the sensor has no value
+    # (u cos φ, u sin φ) m/s, points to where the wind comes from; None if the payload does not know it
     wind: Wind | None
-    """(u cos φ, u sin φ) m/s, points to where the wind comes from; None if the payload does not know it.
-    """
 
 
 def pack_question(
@@ -58,20 +48,14 @@ def pack_question(
 
 def unpack_question(payload: bytes) -> Question:
     """Undo `pack_question`; raises BadFrame with the reason."""
-    said, system = _said(payload)
-    place, which = (
-        _wanted(said, "LOCAL_POSITION_NED", "question"),
-        _wanted(said, "NAMED_VALUE_INT", "question"),
-    )
-    _check_name(which, "NAMED_VALUE_INT", NUMBER_NAME)
-    wind = _wind(said)
-    _check_times(said, place["time_boot_ms"], "question")
-    if which["value"] < 0:
-        raise BadFrame(f"{NUMBER_NAME} is {which['value']}; wanted a whole number from 0")
+    said = _said(payload, "question", {"LOCAL_POSITION_NED": "", "NAMED_VALUE_INT": NUMBER_NAME})
+    place, number = said.messages["LOCAL_POSITION_NED"], said.messages["NAMED_VALUE_INT"]["value"]
+    if number < 0:
+        raise BadFrame(f"{NUMBER_NAME} is {number}; wanted a whole number from 0")
     position = place["y"], place["x"]
     if not all(map(math.isfinite, position)):
         raise BadFrame(f"position is not finite: {position}", "not finite")
-    return Question(system, place["time_boot_ms"], which["value"], position, wind)
+    return Question(said.system, place["time_boot_ms"], number, position, said.wind)
 
 
 def pack_answer(system: int, sample: Sample) -> bytes:
@@ -83,52 +67,34 @@ def pack_answer(system: int, sample: Sample) -> bytes:
 
 def unpack_answer(payload: bytes) -> Sample:
     """Undo `pack_answer`; raises BadFrame with the reason."""
-    said, _ = _said(payload)
-    gas = _wanted(said, "NAMED_VALUE_FLOAT", "answer")
-    _check_name(gas, "NAMED_VALUE_FLOAT", GAS_NAME)
-    wind = _wind(said)
-    _check_times(said, gas["time_boot_ms"], "answer")
+    said = _said(payload, "answer", {"NAMED_VALUE_FLOAT": GAS_NAME})
+    gas = said.messages["NAMED_VALUE_FLOAT"]
     if math.isinf(gas["value"]):
         raise BadFrame(f"gas is {gas['value']}; wanted a finite value, or NaN for none", "not finite")
-    return Sample(gas["time_boot_ms"], gas["value"], wind)
+    return Sample(gas["time_boot_ms"], gas["value"], said.wind)
 
 
-Said = Mapping[str, Mapping[str, Any]]
-"""The fields of a payload's messages, by message type."""
+class _Said(NamedTuple):
+    system: int
+    messages: Mapping[str, Mapping[str, Any]]  # their fields, by message type
+    wind: Wind | None
 
 
-def _said(payload: bytes) -> tuple[Said, int]:
-    """Return the messages of a payload, and the system id of its first frame."""
+def _said(payload: bytes, what: str, names: Mapping[str, str]) -> _Said:
+    """Return what a payload says; `names`: the messages that it must have, and the value that each names."""
     frames = split(payload)
-    return messages_in(frames), frames[0].system
-
-
-def _wanted(said: Said, kind: str, what: str) -> Mapping[str, Any]:
-    if kind not in said:
-        article = "an" if what == "answer" else "a"
-        raise BadFrame(f"{article} {what} without {kind}")
-    return said[kind]
-
-
-def _check_name(message: Mapping[str, Any], kind: str, name: str) -> None:
-    if message["name"] != name:
-        raise BadFrame(f"{kind} is {message['name']!r}, not {name!r}")
-
-
-def _check_times(said: Said, time_boot_ms: int, what: str) -> None:
-    for kind, message in said.items():
-        if (
-            kind in TIMED
-            and (message["time_usec"] // 1000 if kind == "WIND_COV" else message["time_boot_ms"])
-            != time_boot_ms
-        ):
-            raise BadFrame(f"the frames of the {what} do not share one time_boot_ms")
-
-
-def _wind(said: Said) -> Wind | None:
-    if "WIND_COV" not in said:
-        return None
-    wind = -said["WIND_COV"]["wind_y"], -said["WIND_COV"]["wind_x"]
-    if not all(map(math.isfinite, wind)):
-        raise BadFrame(f"wind is not finite: {wind}", "not finite")
-    return wind
+    said, wind = messages_in(frames), None
+    for kind, name in names.items():
+        if kind not in said:
+            raise BadFrame(f"the {what} has no {kind}")
+        if (found := said[kind].get("name", name)) != name:
+            raise BadFrame(f"{kind} is {found!r}, not {name!r}")
+    times = {fields["time_boot_ms"] for kind, fields in said.items() if kind in TIMED}
+    if air := said.get("WIND_COV"):
+        times.add(air["time_usec"] // 1000)
+        wind = -air["wind_y"], -air["wind_x"]
+        if not all(map(math.isfinite, wind)):
+            raise BadFrame(f"wind is not finite: {wind}", "not finite")
+    if len(times) > 1:
+        raise BadFrame(f"the frames of the {what} do not share one time_boot_ms")
+    return _Said(frames[0].system, said, wind)

@@ -8,8 +8,7 @@ from link import cli
 
 SIMULATED, SERIAL = "simulated", "serial"
 WANTED_SERIAL = "serial:PATH[:BAUD]"
-PLUGINS = "plumeward.payloads"
-"""Entry points of this group are drivers of other packages: docs/payload.md."""
+PLUGINS = "plumeward.payloads"  # entry points of this group are drivers of other packages: docs/payload.md
 
 
 def add_payload_argument(parser: argparse.ArgumentParser, when: str = "") -> None:

@@ -12,19 +12,15 @@ from aircraft.bridge.serial_line import open_device
 from aircraft.payload.messages import LARGEST
 from link.bus.log import Log
 
-NO_NUMBER = "not a number"
-"""What a payload counts in its health for each line that is none."""
-NUMBER = re.compile(rb"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+NO_NUMBER = "not a number"  # what a payload counts in its health for each line that is none
+NUMBER = re.compile(rb"nan|[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?", re.IGNORECASE)
 END_OF_LINE = re.compile(rb"[\r\n]")
-LONGEST = 100
-"""Bytes of a line that are kept; a longer one is no number."""
+LONGEST = 100  # bytes of a line that are kept; a longer one is no number
 LARGEST_READ = 4096
+# Bytes that wait in the device without loss; beyond that the line that has begun may have a gap
 MOST_WAITING = 1024
-"""Bytes that wait in the device without loss; beyond that the line that has begun may have a gap."""
-FLOOD = 1 << 18
-"""Bytes after which what still waits counts as new: more than the system keeps for a device."""
-LOOK_S = 0.1
-"""How often a lost device is looked for while a value is wanted."""
+FLOOD = 1 << 18  # bytes after which what still waits counts as new: more than the system keeps for a device
+LOOK_S = 0.1  # how often a lost device is looked for while a value is wanted
 
 
 class NumberLines:
@@ -35,8 +31,7 @@ class NumberLines:
     def __init__(self, log: Log) -> None:
         """Take the log whose tally counts the lines that are no numbers."""
         self._log = log
-        self.begun: bytes | None = None
-        """The line that has begun; None if its beginning is not known."""
+        self.begun: bytes | None = None  # the line that has begun; None if its beginning is not known
         self._told = False
 
     def lose_place(self) -> None:
@@ -47,21 +42,17 @@ class NumberLines:
         """Return the numbers of the lines that are now complete. Blank lines say nothing; others are
         counted and told of once.
         """
-        if self.begun is None:
-            if not (end := END_OF_LINE.search(data)):
-                return []
-            self.begun, data = b"", data[end.end() :]
-        *lines, begun = END_OF_LINE.split(self.begun + data)
+        *lines, begun = END_OF_LINE.split((self.begun or b"") + data)
+        if self.begun is None and not lines:
+            return []
+        lines = lines[self.begun is None :]
         self.begun = begun[: LONGEST + 1]
         return [value for line in lines if line.strip() and (value := self._number(line)) is not None]
 
     def _number(self, line: bytes) -> float | None:
         text = line.strip()
-        if len(line) <= LONGEST:
-            if text.lower() == b"nan":
-                return math.nan
-            if NUMBER.fullmatch(text) and abs(value := float(text)) <= LARGEST:
-                return value
+        if len(line) <= LONGEST and NUMBER.fullmatch(text) and not abs(value := float(text)) > LARGEST:
+            return value
         self._log.tally.refuse(NO_NUMBER)
         if not self._told:
             self._told = True
@@ -117,13 +108,10 @@ class SerialSensor:
     def _receive(self, timeout_s: float) -> bytes:
         """Return what comes within a time; empty if nothing does, or if the device is lost."""
         try:
-            if not select.select([self._descriptor], [], [], timeout_s)[0]:
-                return b""
-            if data := os.read(self._descriptor, LARGEST_READ):
-                return data
-            self._lose("the other side has closed it")
-        except BlockingIOError:
-            pass
+            if select.select([self._descriptor], [], [], timeout_s)[0]:
+                if data := os.read(self._descriptor, LARGEST_READ):
+                    return data
+                self._lose("the other side has closed it")
         except OSError as error:
             self._lose(str(error.strerror))
         return b""

@@ -12,8 +12,7 @@ from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, STOP
 from link.bus.mavlink import BadFrame
 from link.bus.session import Arrival, Bus
 
-HUNG_S = TIMEOUT_S + 1.0
-"""Real time after which the service answers in place of a sensor that hangs."""
+HUNG_S = TIMEOUT_S + 1.0  # real time after which the service answers in place of a sensor that hangs
 NO_VALUE = "the sensor has no value"
 
 

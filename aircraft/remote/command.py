@@ -12,11 +12,11 @@ from aircraft.remote.passing import RealClients
 from aircraft.remote.sensing import AskedSensor
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.remote.winds import Winds
-from aircraft.search.command import Equipment, Orders, fly, given_by
+from aircraft.search.command import Orders, fly, given_by
 from aircraft.search.handling import Handling
 from aircraft.search.options import parse_wind
 from aircraft.search.search import Search
-from aircraft.search.uav import Uav
+from aircraft.search.uav import Equipment, Uav
 from link.bus.log import Log
 from link.interrupts import LAUNCHER
 
@@ -57,9 +57,9 @@ def real_uav(
 
     wind: that of all readings, if it is given; else the payload or the autopilot tells it.
     """
-    clock, inbox, bus, say, outs, signing = equipment
+    clock, _, bus, say, outs, signing = equipment
     assert bus is not None
     search = Search(vehicle, orders.world.start, orders.after_stop, say)
     clients = RealClients(vehicle, search, bus, outs, clock, Handling(say.log), signing)
     sensor = AskedSensor(vehicle, bus, Winds(wind, orders.world.wind), say)
-    return Uav(search, clients, sensor, clock, inbox, bus, say, orders.events)
+    return Uav(search, clients, sensor, equipment, orders.events)

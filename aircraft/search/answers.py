@@ -11,10 +11,8 @@ class Answers:
         """Begin without a reading: nothing awaits an answer."""
         self._readings: set[int] = set()
         self._last_ms = -1
-        self.newest: int | None = None
-        """The time of the newest reading."""
-        self.awaited = False
-        """True while the newest reading is unanswered."""
+        self.newest: int | None = None  # the time of the newest reading
+        self.awaited = False  # True while the newest reading is unanswered
 
     def time_of(self, now_ms: float) -> int:
         """Return the time_boot_ms of a reading that is about to be taken, later than that of any before."""

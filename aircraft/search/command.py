@@ -5,14 +5,13 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from aircraft.bridge.address import parse_out
 from aircraft.search.clock import Clock
 from aircraft.search.events import OnBoard
 from aircraft.search.search import AfterStop
 from aircraft.search.speaker import Speaker
-from aircraft.search.uav import Uav
+from aircraft.search.uav import Equipment, Uav
 from aircraft.state import VehicleFailed
 from link import cli
 from link.bus.inbox import Inbox
@@ -28,32 +27,16 @@ from plume.world import World
 class Orders:
     """What a uav does, whichever its vehicle is."""
 
-    world: World
-    """The mission's; of a real vehicle it is what a simulated payload measures."""
+    world: World  # the mission's; of a real vehicle it is what a simulated payload measures
     speedup: float = 1.0
     events: Sequence[OnBoard] = ()
     after_stop: AfterStop = "return"
-    estimator: str = ""
-    """Flags that its estimator needs."""
+    estimator: str = ""  # flags that its estimator needs
 
 
-class Equipment(NamedTuple):
-    """What a uav is connected to."""
-
-    clock: Clock
-    inbox: Inbox
-    bus: Bus | None
-    """None for a plain MAVLink vehicle."""
-    say: Speaker
-    outs: Sequence[str] = ()
-    """URLs of its clients beside the bus."""
-    signing: Signing | None = None
-
-
+# Makes the service; what it opens is closed with the stack. Raises ValueError for a URL of `outs` that cannot
+# be used.
 Make = Callable[[Equipment, contextlib.ExitStack], Uav]
-"""Makes the service; what it opens is closed with the stack. Raises ValueError for a URL of `outs` that
-cannot be used.
-"""
 
 
 @contextlib.contextmanager

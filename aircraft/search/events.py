@@ -111,5 +111,5 @@ class Land(ScriptEvent, frozen=True, tag="land"):
     """The operator makes the vehicle land where it is."""
 
 
+# Events that the UAV service carries out
 OnBoard = Wind | Dropout | Stuck | Spike | Duplicate | Delay | Lose | Hold | Resume | Return | Land
-"""Events that the UAV service carries out."""

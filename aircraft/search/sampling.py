@@ -15,8 +15,7 @@ from link.bus.log import Log
 from link.bus.mavlink import Codec, Reading, pack_reading
 from link.bus.session import Bus
 
-TRY_AGAIN_S = 1.0
-"""Simulation time after which a sensor without a value is read again."""
+TRY_AGAIN_S = 1.0  # simulation time after which a sensor without a value is read again
 
 
 class Sampling:
@@ -32,12 +31,9 @@ class Sampling:
         log: Log,
     ) -> None:
         """Begin without a reading."""
-        self.faults = FaultySensor()
-        """What a script does to the sensor's values."""
-        self.radio = FaultyRadio(self._publish)
-        """What a script does to readings on their way to the bus."""
-        self.codec = Codec(0, 0)
-        """Packs the readings."""
+        self.faults = FaultySensor()  # what a script does to the sensor's values
+        self.radio = FaultyRadio(self._publish)  # what a script does to readings on their way to the bus
+        self.codec = Codec(0, 0)  # packs the readings
         self._search, self._vehicle, self._clients = search, search.vehicle, clients
         self._sensor, self._timeline, self._bus, self._log = sensor, timeline, bus, log
         self._number = 0

@@ -19,12 +19,10 @@ from link.bus.mavlink import Message
 from link.bus.messages import Stop
 from link.modes import Mode
 
+# What the vehicle does once the search is over: return home and land, land on the spot, or hold until told
 AfterStop = Literal["return", "land", "hold"]
-"""What the vehicle does once the search is over: return home and land, land on the spot, or hold until
-told.
-"""
+# The frame of an answer, and the bits of its type mask that leave out a part of the position
 LOCAL_NED, NO_POSITION = mavlink.MAV_FRAME_LOCAL_NED, 0b111
-"""The frame of an answer, and the bits of its type mask that leave out a part of the position."""
 AFTER_STOP: dict[AfterStop, Mode] = {"return": Mode.RETURN, "land": Mode.LAND, "hold": Mode.HOLD}
 STANDBY, TAKING_OFF, SEARCHING, PAUSED = "standby", "taking off", "searching", "paused"
 RETURNING, HOLDING, LANDED = "returning", "holding", "landed"
@@ -43,18 +41,15 @@ class Search:
         say: Callable[[int, str], None],
     ) -> None:
         """Take the start, (x, y) m, and what tells people a text of a MAV_SEVERITY."""
-        self.state = STANDBY
-        """What the uav's health says."""
-        self.found = False
-        """True once the stop has been declared."""
+        self.state = STANDBY  # what the uav's health says
+        self.found = False  # True once the stop has been declared
+        # The readings, and whether the newest is answered: the agent's first waypoint with its time answers
+        # it
         self.answers = Answers()
-        """The readings, and whether the newest is answered: the agent's first waypoint with its time
-        answers it.
-        """
         self.vehicle, self._say = vehicle, say
         self._after_stop = after_stop
+        # The search's own setpoint: the start, then what the agent last answered
         self.waypoint: Ned = (start[1], start[0], -vehicle.config.takeoff_altitude_m)
-        """The search's own setpoint: the start, then what the agent last answered."""
         self._begun = False
         self._said = ""
         self._pilot = ""  # how, and by whom, the vehicle was last taken from the search

@@ -9,8 +9,8 @@ from functools import partial
 
 from aircraft.search.events import Hold, Land, OnBoard, Resume, Return
 
+# Operator events: they happen after the reading of their step, all others before it
 BY_OPERATOR = (Hold, Return, Land)
-"""Operator events: they happen after the reading of their step, all others before it."""
 
 
 class Timeline:

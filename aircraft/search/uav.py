@@ -4,7 +4,7 @@ import math
 import queue
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
@@ -36,6 +36,18 @@ from link.bus.keys import MAVLINK_IN, STOP, WAYPOINT
 from link.bus.mavlink import BadFrame, Codec, Message, unpack_waypoint
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.interrupts import uninterrupted
+from link.signing.signer import Signing
+
+
+class Equipment(NamedTuple):
+    """What a uav is connected to."""
+
+    clock: Clock
+    inbox: Inbox
+    bus: Bus | None  # None for a plain MAVLink vehicle
+    say: Speaker
+    outs: Sequence[str] = ()  # URLs of its clients beside the bus
+    signing: Signing | None = None
 
 
 class Uav:
@@ -46,18 +58,16 @@ class Uav:
         search: Search,
         clients: Clients,
         sensor: GasSensor,
-        clock: Clock,
-        inbox: Inbox,
-        bus: Bus | None,
-        say: Speaker,
+        equipment: Equipment,
         events: Sequence[OnBoard] = (),
     ) -> None:
         """Take the search with its vehicle, and what is around it; it begins with `run`.
 
-        bus: None for a plain MAVLink vehicle; events: those of a script that happen on board.
+        events: those of a script that happen on board.
         """
         self._search, self._vehicle, self._clients, self._sensor = search, search.vehicle, clients, sensor
-        self._clock, self._inbox, self._bus, self._say = clock, inbox, bus, say
+        self._clock, self._inbox, self._bus, self._say, *_ = equipment
+        say, bus = equipment.say, equipment.bus
         self._log, self._tally = say.log, say.log.tally
         self._handling = Handling(self._log)
         self._timeline = Timeline(events, self._perform)

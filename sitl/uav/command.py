@@ -13,8 +13,7 @@ from sitl.script.vehicle import script_for_vehicle
 from sitl.uav.options import add_vehicle_arguments, at_own_home
 from sitl.uav.simulated import simulated_uav
 
-REAL = "aircraft.remote.command"
-"""Flies a real vehicle; loaded only then."""
+REAL = "aircraft.remote.command"  # flies a real vehicle; loaded only then
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

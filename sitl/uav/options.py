@@ -12,8 +12,7 @@ from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 from sitl.script.options import add_mission_argument, add_seed_argument, add_world_arguments
 
-HOMES_APART_M = 40.0
-"""Default homes lie so far apart that search areas do not overlap."""
+HOMES_APART_M = 40.0  # default homes lie so far apart that search areas do not overlap
 
 
 def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> None:

@@ -5,7 +5,7 @@ ask.
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -14,20 +14,17 @@ from aircraft.bridge.bus_link import BRIDGED
 from aircraft.operator import OPERATOR, CommandName, named, order
 from aircraft.payload.messages import Question
 from aircraft.payload.simulated import Simulated, turned
-from aircraft.search.clock import Clock
-from aircraft.search.command import Equipment, Orders
+from aircraft.search.command import Orders
 from aircraft.search.handling import Handling
 from aircraft.search.search import Search
-from aircraft.search.uav import Uav
-from aircraft.search.udp import UdpPorts
+from aircraft.search.uav import Equipment, Uav
+from aircraft.search.udp import UdpPort, UdpPorts
 from aircraft.state import Arrived, Result, denied, not_now
-from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_OUT
 from link.bus.mavlink import Codec, Message, unpack
 from link.bus.px4 import MissionCurrent
-from link.bus.session import Arrival, Bus
+from link.bus.session import Arrival
 from link.modes import Mode
-from link.signing.signer import Signing
 from plume.world import World
 from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol
@@ -35,39 +32,17 @@ from sitl.autopilot.setpoint import GLOBAL, LOCAL
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 
-STREAM_S = 1.0
-"""Real time after which a client's stream of setpoints has ended: PX4's COM_OF_LOSS_T."""
+STREAM_S = 1.0  # real time after which a client's stream of setpoints has ended: PX4's COM_OF_LOSS_T
 CHANGES = {"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}
 SETPOINTS = {LOCAL, GLOBAL}
 
-Sender = tuple[int, int]
-"""System and component id."""
-
-
-class Link(Protocol):
-    """A destination for MAVLink messages."""
-
-    def send(self, *messages: Message) -> None:
-        """Send messages with this link's own sequence numbers."""
-
-
-class BusLink:
-    """MAVLink over the bus."""
-
-    def __init__(self, bus: Bus, system: int) -> None:
-        """Publish on `mavlink/out` as this system id."""
-        self._bus = bus
-        self._codec = Codec(system, COMPONENT)
-
-    def send(self, *messages: Message) -> None:
-        """Send messages as one sample."""
-        self._bus.publish(MAVLINK_OUT, self._codec.pack(*messages))
+Sender = tuple[int, int]  # system and component id
 
 
 class Port(NamedTuple):
     """A link and its telemetry: the client of each link sets its own rates."""
 
-    link: Link
+    send: Callable[..., None]
     telemetry: Telemetry
 
 
@@ -77,41 +52,35 @@ class SimulatedClients:
     component = COMPONENT
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        search: Search,
-        bus: Bus | None,
-        outs: Sequence[str],
-        inbox: Inbox,
-        clock: Clock,
-        handling: Handling,
-        wind: Callable[[], tuple[float, float]],
-        signing: Signing | None,
+        self, vehicle: Vehicle, search: Search, sensor: "SimulatedSensor", equipment: Equipment
     ) -> None:
-        """Open the links; raises ValueError for a UDP URL that cannot be used. wind: the wind that
-        telemetry tells.
-        """
+        """Open the links; raises ValueError for a UDP URL that cannot be used."""
+        bus, outs = equipment.bus, equipment.outs
         self.system = vehicle.config.sysid
-        self._vehicle, self._bus, self._clock, self._wind = vehicle, bus, clock, wind
-        self._handling, self._log = handling, handling.log
+        self._vehicle, self._sensor, self._clock = vehicle, sensor, equipment.clock
+        self._log = equipment.say.log
+        self._handling = Handling(self._log)
         self._protocol = MavlinkProtocol(vehicle)
         self._asked = Asked(vehicle, self._protocol, search)
         self._gas: tuple[int, float] | None = None
         self._progress = vehicle.progress
         self._ports: list[Port] = []
-        self._udp = UdpPorts(outs, self._log, self.system, COMPONENT, signing) if outs else None
         if bus is not None:
-            self._ports.append(Port(BusLink(bus, self.system), self._telemetry()))
+            publish, codec = bus.publish, Codec(self.system, COMPONENT)
+            on_bus = Port(lambda *said: publish(MAVLINK_OUT, codec.pack(*said)), self._telemetry())
+            self._ports.append(on_bus)
+        self._udp = UdpPorts(outs, self._log, self.system, COMPONENT, equipment.signing) if outs else None
+        self._by_udp: dict[UdpPort, Port] = {}
         if self._udp:
-            self._ports += [Port(port, self._telemetry()) for port in self._udp.ports]
-            self._udp.ring(lambda: inbox.put(None))  # `serve` takes what has come
+            self._by_udp = {port: Port(port.send, self._telemetry()) for port in self._udp.ports}
+            self._ports += self._by_udp.values()
+            self._udp.ring(lambda: equipment.inbox.put(None))  # `serve` takes what has come
 
     def _telemetry(self) -> Telemetry:
         # The vehicle's time, not the streams' time: at speed-up 0 they differ.
+        vehicle, sensor = self._vehicle, self._sensor
         return Telemetry(
-            lambda _: Snapshot(
-                self._vehicle.config, self._vehicle.state(self._vehicle.now_s), self._wind(), self._gas
-            )
+            lambda _: Snapshot(vehicle.config, vehicle.state(vehicle.now_s), sensor.wind, self._gas)
         )
 
     # ---- what they are told ----
@@ -122,18 +91,18 @@ class SimulatedClients:
         """
         if self._udp:
             for link, message, peer in self._udp.receive():
-                self._take(message, next(port for port in self._ports if port.link is link), f"at {peer}")
+                self._take(message, self._by_udp[link], f"at {peer}")
         if (progress := self._vehicle.progress) != self._progress:
             self._progress = progress
             self._send_now(MissionCurrent.id)
         for port in self._ports:
             if due := [*port.telemetry.due(self._clock.stream_s()), *self._protocol.due(port.telemetry)]:
-                port.link.send(*due)
+                port.send(*due)
 
     def _send_now(self, message_id: int) -> None:
         for port in self._ports:
             if message := port.telemetry.build(message_id, self._clock.stream_s()):
-                port.link.send(message)
+                port.send(message)
 
     def wait_s(self) -> float:
         """Return the real time until something is due."""
@@ -155,7 +124,7 @@ class SimulatedClients:
     def send(self, *messages: Message) -> None:
         """Send messages on all links."""
         for port in self._ports:
-            port.link.send(*messages)
+            port.send(*messages)
 
     # ---- what they ask ----
 
@@ -179,20 +148,17 @@ class SimulatedClients:
         """Tell on the bus why a waypoint is refused."""
         self._answer(self._protocol.refuse_setpoint(result, t_s), self._ports[0])
 
-    def _answer(self, answers: Sequence[Message], port: Port) -> None:
+    def _answer(self, answers: Sequence[Message], *ports: Port) -> None:
         if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
             self._log.warning("".join(texts))
-        if answers:
-            port.link.send(*answers)
+        for port in ports if answers else ():
+            port.send(*answers)
 
     def operate(self, name: CommandName) -> None:
         """Handle a word of the script's operator as if it had come over a link."""
         message = order(name, self.system)
         message.pack(mavlink.MAVLink(None, *OPERATOR))
-        answers = self._asked.receive(message, self._vehicle.now_s, "in the script")
-        for text in (answer.text for answer in answers if answer.get_type() == "STATUSTEXT"):
-            self._log.warning(text)
-        self.send(*answers)
+        self._answer(self._asked.receive(message, self._vehicle.now_s, "in the script"), *self._ports)
 
     def end(self, say: Callable[[int, str], None]) -> None:
         """Close the links."""
@@ -225,13 +191,10 @@ class SimulatedSensor(GasSensor):
 
 def simulated_uav(vehicle: Vehicle, orders: Orders, equipment: Equipment) -> Uav:
     """Return the uav service of a simulated vehicle. Raises ValueError for a URL of `outs`."""
-    clock, inbox, bus, say, outs, signing = equipment
-    search = Search(vehicle, orders.world.start, orders.after_stop, say)
+    search = Search(vehicle, orders.world.start, orders.after_stop, equipment.say)
     sensor = SimulatedSensor(orders.world)
-    clients = SimulatedClients(
-        vehicle, search, bus, outs, inbox, clock, Handling(say.log), lambda: sensor.wind, signing
-    )
-    return Uav(search, clients, sensor, clock, inbox, bus, say, orders.events)
+    clients = SimulatedClients(vehicle, search, sensor, equipment)
+    return Uav(search, clients, sensor, equipment, orders.events)
 
 
 class Asked:

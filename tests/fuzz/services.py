@@ -19,9 +19,10 @@ from agent.policies import OURS, reach
 from aircraft.bridge.routing import Routes
 from aircraft.operator import OPERATOR, SEARCH, WANTED, change_mode, command, order
 from aircraft.search.clock import Clock
-from aircraft.search.command import Equipment, Orders
+from aircraft.search.command import Orders
 from aircraft.search.search import RETURNING, SEARCHING
 from aircraft.search.speaker import Speaker
+from aircraft.search.uav import Equipment
 from estimator import service as estimator
 from estimator.filter import Config
 from link.bus.frames import FrameStream

@@ -117,8 +117,8 @@ def test_messages_of_other_types_beside_them_are_ignored() -> None:
     [
         (b"", "not made of whole MAVLink frames"),
         (frames(place(), number())[:-1], "not made of whole MAVLink frames"),
-        (frames(number()), "a question without LOCAL_POSITION_NED"),
-        (frames(place()), "a question without NAMED_VALUE_INT"),
+        (frames(number()), "the question has no LOCAL_POSITION_NED"),
+        (frames(place()), "the question has no NAMED_VALUE_INT"),
         (frames(place(), number(name=b"other")), "NAMED_VALUE_INT is 'other', not 'sample'"),
         (
             frames(place(), number(time_boot_ms=T + 1)),
@@ -139,7 +139,7 @@ def test_a_malformed_question_is_refused_with_the_reason(payload: bytes, reason:
     ("payload", "reason"),
     [
         (b"\x00", "invalid MAVLink prefix"),
-        (frames(air()), "an answer without NAMED_VALUE_FLOAT"),
+        (frames(air()), "the answer has no NAMED_VALUE_FLOAT"),
         (frames(gas(name=b"smoke")), "NAMED_VALUE_FLOAT is 'smoke', not 'gas'"),
         (frames(gas(math.inf)), "gas is inf; wanted a finite value, or NaN for none"),
         (frames(gas(), air(T + 1)), "the frames of the answer do not share one time_boot_ms"),

@@ -5,8 +5,9 @@ from typing import Any
 import pytest
 
 from aircraft.remote.command import real_uav
-from aircraft.search.command import Equipment, Orders
+from aircraft.search.command import Orders
 from aircraft.search.speaker import Speaker
+from aircraft.search.uav import Equipment
 from aircraft.state import VehicleFailed
 from link.bus.keys import PAYLOAD_IN, Key
 from link.bus.session import LivelinessChange
