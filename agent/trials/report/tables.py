@@ -30,14 +30,28 @@ class Table:
 def tables(results: Results) -> list[Table]:
     """Return all tables of the report."""
     by_particles = [key for key in results.rows if key[1].threshold_m == results.threshold_m]
-    by_threshold = [key for key in results.rows if key[1].particles == results.particles]
     return [
         against_paper(results),
         ours(results, by_particles, f"Our figures at ζ = {results.threshold_m:g} m, assume {results.assume}"),
-        ours(
-            results, by_threshold, f"Our figures at N = {results.particles:,}, by ζ, assume {results.assume}"
-        ),
+        by_threshold(results),
     ]
+
+
+def by_threshold(results: Results) -> Table:
+    """Return the share located and the distance at the usual N, one row per policy and one column per ζ."""
+    found = {
+        (policy, setting.threshold_m): results.figures[policy, setting]
+        for policy, setting in results.rows
+        if setting.particles == results.particles
+    }
+    limits_m = sorted({limit_m for _, limit_m in found})
+    rows = []
+    for policy in dict.fromkeys(policy for policy, _ in found):
+        cells = [found.get((policy, limit_m)) for limit_m in limits_m]
+        shown = (UNKNOWN if it is None else f"{cell(it, 'located')} / {cell(it, 'mtd_m')}" for it in cells)
+        rows.append([policy, *shown])
+    title = f"Located, % / MTD, m, at N = {results.particles:,}, by ζ, assume {results.assume}"
+    return Table(title, ["policy", *(f"{limit_m:g} m" for limit_m in limits_m)], rows, [])
 
 
 def ours(results: Results, keys: Sequence[Key], title: str) -> Table:

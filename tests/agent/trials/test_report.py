@@ -138,7 +138,8 @@ def test_a_row_says_what_is_counted_by_hand(tmp_path: Path) -> None:
     assert said["MTD, m"] == "40.0 [30.0, 50.0]"  # the one that never ceased does not count
     assert said["MTD, floors"].startswith("2.00 [")  # 40 / mean of 20, 25 and 15
     assert said["ST, s"] == "0.500 [0.500, 0.500]"
-    assert by_threshold.rows == by_particles.rows  # there is but one setting
+    assert by_threshold.heads == ["policy", "0.5 m"]
+    assert by_threshold.rows == [["greedy", "50.0 [15.0, 85.0] / 40.0 [30.0, 50.0]"]]
 
 
 def test_a_table_says_the_assumption_and_compares_one_assumption_and_one_kind_of_stop(tmp_path: Path) -> None:
@@ -147,7 +148,7 @@ def test_a_table_says_the_assumption_and_compares_one_assumption_and_one_kind_of
     assert results.assume == "field"
     assert [it.title for it in tables(results)[1:]] == [
         "Our figures at ζ = 0.5 m, assume field",
-        "Our figures at N = 100, by ζ, assume field",
+        "Located, % / MTD, m, at N = 100, by ζ, assume field",
     ]
     write_csv(FOUR, tmp_path / "paper.csv")
     with pytest.raises(
