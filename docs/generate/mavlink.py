@@ -4,7 +4,6 @@
 """
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -22,8 +21,6 @@ from sitl.autopilot.setpoint import GLOBAL, LOCAL
 from sitl.autopilot.telemetry import STREAMS
 from sitl.autopilot.vehicle import Vehicle
 
-EXAMPLE = Path(__file__).with_name("companion.py")
-"""A companion computer's program for MAVSDK 4; tests/test_docs.py flies it."""
 SETPOINTS = {
     LOCAL: "flown in OFFBOARD: a position, a velocity, a horizontal velocity at a height, or an "
     "acceleration, in LOCAL_NED or BODY_NED",
@@ -247,14 +244,9 @@ Plumeward's own version, as PX4's vendors write it (patch, minor, major), and th
 
 ## Fly it from your own code
 
-The example needs the package `mavsdk`, version 4; version 3 has other modules. In a checkout `.venv` has version 3, and `make setup`
-installs version 4 beside it: with `.venv` active, run the example with `.venv/clients/mavsdk4/bin/python`.
-
-It starts the vehicle at four times real time, takes off, flies two setpoints and lands. PX4's simulated vehicle sends to the same port, so
-`fly` flies it as well.
-
-```python
-{example}```
+`docs/examples/offboard.py` starts the vehicle at four times real time, takes off, flies two setpoints and lands. PX4's simulated vehicle sends to the
+same port, so `fly()` in it flies that as well. It needs the package `mavsdk`, version 4; version 3 has other modules. In a checkout `.venv` has
+version 3, and `make setup` installs version 4 beside it: with `.venv` active, run the example with `.venv/clients/mavsdk4/bin/python`.
 
 ## Tried with
 
@@ -277,7 +269,6 @@ def document() -> str:
     ]
     values = Parameters(vehicle)
     return PAGE.format(
-        example=EXAMPLE.read_text(),
         tried=_table(("client", "version", "what"), TRIED),
         modes=_table(("mode", "PX4 main", "sub"), ((mode.name.capitalize(), *mode.value) for mode in Mode)),
         commands=_table(

@@ -1,3 +1,5 @@
+"""Flies the simulated vehicle from a companion computer, with MAVSDK 4: take-off, two setpoints, landing."""
+
 import asyncio
 import math
 import subprocess
