@@ -203,5 +203,5 @@ class BusWire:
         self._bus.close()
 
 
-def count(frames: list[Frame], frame: bytes) -> int:
-    return sum(frame.data == frame for frame in frames)
+def count(heard: list[Frame], frame: bytes) -> int:
+    return sum(one.data == frame for one in heard)
