@@ -272,7 +272,10 @@ def read_csv(path: Path) -> list[MissionRow]:
     with _open(path, "rt", compressed=path.suffix == ".gz") as file:
         reader = csv.DictReader(_lines(file), restval=CUT_OFF)
         try:
-            return [_row(said) for said in reader]
+            rows = [_row(said) for said in reader]
+            if "policy" not in (reader.fieldnames or ()):
+                raise ValueError("this is no table of missions: its first line has no column policy")
+            return rows
         except (ValueError, csv.Error, OSError, EOFError, zlib.error) as error:
             raise ValueError(f"{path}: line {reader.line_num}: {error}") from error
 

@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         _check(args)
         args.about = _about(args)
-        word, line = word_in(args.token_file) if args.token_file else ("", "")
+        word, line = _word(args)
         if line:
             print(line, file=sys.stderr, flush=True)
         with _listening("--port", args.host, args.port) as listening:
@@ -111,6 +111,14 @@ def run(args: argparse.Namespace) -> int:
     except (ValueError, RecordError) as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
+
+
+def _word(args: argparse.Namespace) -> tuple[str, str]:
+    """Return the word that allows commands, and a line for people; empty without one. Raises ValueError."""
+    try:
+        return word_in(args.token_file) if args.token_file else ("", "")
+    except ValueError as error:
+        raise ValueError(f"--token-file: {error}") from None
 
 
 def _check(args: argparse.Namespace) -> None:

@@ -352,8 +352,8 @@ def test_a_plug_in_may_make_our_environments_also_in_the_workers_of_a_sweep(tmp_
 @pytest.mark.parametrize(
     ("command", "what"),
     [
-        ("log", "is an ArduPilot dataflash log of 0 messages, 34 bytes skipped as garbage, but none"),
-        ("replay", "is an ArduPilot dataflash log of 0 messages, 34 bytes skipped as garbage, but none"),
+        ("log", "is an ArduPilot dataflash log of 0 messages, 27 bytes skipped as garbage, but none"),
+        ("replay", "is an ArduPilot dataflash log of 0 messages, 27 bytes skipped as garbage, but none"),
         ("draw", "is not an MCAP file"),
         ("view", "is not an MCAP file"),
     ],

@@ -27,7 +27,7 @@ from plume.outcome import outcome_json
 pytestmark = pytest.mark.timeout(2000)  # environments are created and filled, and kernels compiled in them
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent", "plumeward")
+PACKAGES = ("plume", "link", "estimator", "aircraft", "sitl", "scene", "agent", "ground", "plumeward")
 CONSTRAINTS, HASHED = ROOT / "constraints.txt", ROOT / "requirements.txt"
 OWN = f"{sys.version_info.major}.{sys.version_info.minor}"
 VERSIONS = ("3.11", "3.12", "3.13")

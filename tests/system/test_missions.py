@@ -309,7 +309,7 @@ def test_the_wind_of_a_script_is_the_measured_one_and_the_true_one_stays_as_wron
 @pytest.mark.parametrize(
     ("script", "told"),
     [
-        ("sead: 3\n", "1: sead: unknown field; allowed: "),
+        ("sead: 3\n", "1: sead: unknown field; did you mean 'seed'? Allowed: "),
         ("seed: 3\nagent:\n  policy: foo\n", "3: agent.policy: 'foo' is not allowed; wanted infotaxis, "),
         (
             "estimator:\n  particles: 50\n  prior: {q: 'gama:2,3'}\n",

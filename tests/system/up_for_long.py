@@ -2,10 +2,10 @@
 s, at speed-up 0.
 """
 
+from aircraft.search import command
 from aircraft.search.clock import Clock
 from link import cli
 from sitl.__main__ import main
-from sitl.uav import command
 
 BEGAN_S = 4_294_947.296
 """20 s before time_boot_ms wraps."""
