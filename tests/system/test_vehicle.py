@@ -114,12 +114,7 @@ def test_a_mission_on_ardupilot_reads_the_plume_where_it_reports_to_be_in_the_wi
 
 def shows_the_autopilot_as_it_was(entries: list[Entry], double: Double) -> None:
     """The record has the autopilot's own frames, and readings by its clock where it said to be then."""
-    frames = [
-        entry.payload[f.start : f.end]
-        for entry in entries
-        if entry.key == "mavlink/out"
-        for f in split(entry.payload)
-    ]
+    frames = [frame.data for entry in entries if entry.key == "mavlink/out" for frame in split(entry.payload)]
     own = [frame for frame in frames if frame[6] == 1]
     assert len(own) > 100
     assert {(frame[5], frame[6]) for frame in frames} == {(32, 1), (32, 191)}
