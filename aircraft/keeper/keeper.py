@@ -229,7 +229,7 @@ class Switch(Hub):
         self.keeper = Keeper(self._send, self._say, partial(ask_for_stacks, os.getppid()))
         self._codec = mavlink.MAVLink(None)
         self._used: Channel | None = None  # the vehicle's link
-        self._tell_s = -math.inf
+        self._told, self._tell_s = "", -math.inf  # the last word to the uav, and when it was said
         address = parse_address(url)
         self._endpoint = endpoint_of(address, self)
         self.open(self._endpoint)
@@ -278,13 +278,14 @@ class Switch(Hub):
         self._send(mavlink.MAVLink_statustext_message(severity, text[:50].encode()))
 
     def _tell_the_uav(self, now_s: float) -> None:
-        """Say each second why the keeper has acted, or else how the endpoint does: a uav that does not
-        read may miss a word.
+        """Say why the keeper has acted, or else how the endpoint does: at once if new, and each second.
+
+        A uav that does not read may miss a word.
         """
-        if now_s - self._tell_s < AGAIN_S:
-            return
-        self._tell_s = now_s
         text = self.keeper.acted or self._endpoint.trouble or self._endpoint.state
+        if text == self._told and now_s - self._tell_s < AGAIN_S:
+            return
+        self._told, self._tell_s = text, now_s
         severity = CRITICAL if self.keeper.acted else INFO
         self._uav.send(self._packed(mavlink.MAVLink_statustext_message(severity, text[:50].encode()), OWN))
 
