@@ -4,9 +4,14 @@ Numba knows a kernel by its own file alone: if a function or a constant of anoth
 runs the old machine code. Here a kernel may use what stands in its own folder and in plume/. A digest of
 these sources and of the libraries' versions names the folder, so a change of any leads to an empty one.
 Within a folder numba tells processors apart.
+
+Numba numbers functions by the order in which a process compiles them, and calls a function of a library by
+its name and number: a sort that one process has compiled would run for an argsort of another. So each kernel
+has numbers of its own.
 """
 
 import hashlib
+import itertools
 import os
 import shutil
 import sys
@@ -21,6 +26,7 @@ import llvmlite
 import numba
 import numpy as np
 from numba import njit
+from numba.core.bytecode import FunctionIdentity
 
 from plume import COMPILING
 
@@ -58,14 +64,21 @@ def kernel(signature: Any, **options: Any) -> Callable[[F], F]:
 def _compiled(function: F, signature: Any, options: dict[str, Any], folder: Path | None) -> F:
     with SETTING:
         usual, CONFIG.CACHE_DIR = CONFIG.CACHE_DIR, str(folder or "")
+        numbers, FunctionIdentity._unique_ids = FunctionIdentity._unique_ids, _numbers(function, folder)
         try:
             dispatcher: Any = njit(signature, cache=folder is not None, **options)(function)
         finally:
-            CONFIG.CACHE_DIR = usual
+            CONFIG.CACHE_DIR, FunctionIdentity._unique_ids = usual, numbers
     if sum(dispatcher.stats.cache_misses.values()):
         _tell()
     result: F = dispatcher
     return result
+
+
+def _numbers(function: F, folder: Path | None) -> "itertools.count[int]":
+    """Return numba's numbers for all that is compiled with a kernel, which no other kernel has."""
+    name = f"{folder and folder.name} {function.__module__}.{function.__qualname__}"
+    return itertools.count(int.from_bytes(hashlib.blake2b(name.encode(), digest_size=6).digest()) << 16)
 
 
 @cache

@@ -212,3 +212,57 @@ def test_what_cannot_be_compiled_says_why(tmp_path: Path) -> None:
     write(tmp_path, HELPER + "class Odd: pass\nodd = Odd()\n@njit\ndef use(x): return odd + x\n")
     _, err = start(tmp_path).communicate(timeout=300)
     assert "TypingError" in err
+
+
+SORTS = {
+    "sort": """
+import numpy as np
+from plume.compiled import kernel
+
+@kernel("float64[::1](float64[::1])")
+def sort(values):
+    return np.sort(values)
+""",
+    "argsort": """
+import numpy as np
+from numba import njit
+from plume.compiled import kernel
+
+@njit
+def one(values): return values
+@njit
+def two(values): return one(values)
+@njit
+def three(values): return two(values)
+
+@kernel("int64[::1](float64[::1])")
+def argsort(values):
+    return np.argsort(three(values))
+""",
+}
+"""Two kernels that use a function `run_quicksort` of numba's, each another one, of the same types. Three more
+functions give it the same number in the processes that compile them.
+"""
+
+
+def test_kernels_that_were_compiled_in_two_processes_call_their_own_functions_in_a_third(
+    tmp_path: Path,
+) -> None:
+    for name, source in SORTS.items():
+        (tmp_path / f"of_{name}").mkdir()
+        (tmp_path / f"of_{name}" / "__init__.py").write_text(source)
+    ours = {"PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
+
+    def said(code: str) -> str:
+        run = [sys.executable, "-c", code]
+        return subprocess.run(
+            run, env={**os.environ, **ours}, check=True, capture_output=True, text=True
+        ).stdout
+
+    said("import of_sort")
+    said("import of_argsort")
+    both = said(
+        "import numpy as np; from of_argsort import argsort; from of_sort import sort; values = np.array([3.0, 1.0, 2.0])"
+        "; print(argsort(values), sort(values), sum(argsort.stats.cache_hits.values()))"
+    )
+    assert both == "[1 2 0] [1. 2. 3.] 1\n"
