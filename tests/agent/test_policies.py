@@ -525,10 +525,10 @@ def test_a_policy_that_fails_in_flight_ends_the_mission_with_a_line_that_names_i
         assert words in ended.stderr.splitlines()[-1]
 
 
-def examples() -> dict[str, str]:
-    """The files in docs/policies.md: code blocks whose first line is the file's name."""
+def examples(page: str = "policies.md") -> dict[str, str]:
+    """The files in a page of docs/: code blocks whose first line is the file's name."""
     blocks = re.findall(
-        r"^```\w+\n(# (\S+)\n.*?)^```$", (ROOT / "docs" / "policies.md").read_text(), re.DOTALL | re.MULTILINE
+        r"^```\w+\n(# (\S+)\n.*?)^```$", (ROOT / "docs" / page).read_text(), re.DOTALL | re.MULTILINE
     )
     return {name: text for text, name in blocks}
 
@@ -555,8 +555,8 @@ def test_the_documented_bundle_is_made_without_our_code_and_flies_where_it_says(
 def test_the_documented_package_installs_and_flies(tmp_path: Path) -> None:
     source, packages = tmp_path / "source", tmp_path / "packages"
     source.mkdir()
-    for name in ("pyproject.toml", "weave.py"):
-        (source / name).write_text(examples()[name])
+    for name, text in examples("tutorials/research.md").items():
+        (source / name).write_text(text)
     pip = [
         sys.executable,
         "-m",
@@ -575,7 +575,7 @@ def test_the_documented_package_installs_and_flies(tmp_path: Path) -> None:
         "agent",
         "evaluate",
         "--policy",
-        "weave",
+        "heaviest",
         "--scenarios",
         "8",
         "--particles",
@@ -587,12 +587,12 @@ def test_the_documented_package_installs_and_flies(tmp_path: Path) -> None:
         packages=packages,
     )
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout.splitlines()[-1])["weave"]["ceased"] >= 0.5
+    assert json.loads(done.stdout.splitlines()[-1])["heaviest"]["ceased"] >= 0.5
     over_the_bus, in_process = (
         flown(
             *program,
             "--policy",
-            "weave",
+            "heaviest",
             "--budget",
             "10",
             "--particles",

@@ -327,7 +327,7 @@ loop.point_of = held
 HELD_WHILE_JUDGED = """
 import pathlib, threading
 from agent.learn.train import judge
-judge.fly_all = lambda *_: (pathlib.Path("held").touch(), threading.Event().wait())
+judge.flown = lambda *_: (pathlib.Path("held").touch(), threading.Event().wait())
 """
 
 
