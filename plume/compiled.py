@@ -19,7 +19,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
-from threading import Lock
+from threading import RLock
 from typing import Any, TypeVar
 
 import llvmlite
@@ -36,7 +36,8 @@ VERSIONS = (
     f"numba {numba.__version__}, llvmlite {llvmlite.__version__}, numpy {np.__version__}, {sys.version}"
 )
 CONFIG: Any = numba.config
-SETTING = Lock()  # held while numba's setting of its cache folder is ours
+# Held while numba's settings are ours. A module that runs as a program is imported again meanwhile.
+SETTING = RLock()
 
 
 def kernel(signature: Any, **options: Any) -> Callable[[F], F]:
