@@ -169,9 +169,9 @@ def wait():
     {wait}
 
 def command():
-    for _ in range(2):
-        threading.Thread(target=work, name="drainer").start()
     try:
+        for _ in range(2):
+            threading.Thread(target=work, name="drainer").start()
         wait()
     finally:
         print("cleaned up")
