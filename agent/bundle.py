@@ -63,8 +63,9 @@ class Bundle:
     """A learned policy, ready to fly."""
 
     def __init__(self, page: Page, data: bytes) -> None:
-        """Open the graph. Raises BundleError if it does not match its page, or this version of the
-        project.
+        """Open the graph.
+
+        Raises BundleError if it does not match its page, or this version of the project.
         """
         from agent import graphs  # compiles, as the schema does
 
@@ -82,8 +83,9 @@ class Bundle:
             )
 
     def said(self, observation: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return the network's output for an observation (F,): (1, A). Raises BundleError on NaN: argmax
-        would silently pick one.
+        """Return the network's output for an observation (F,): (1, A).
+
+        Raises BundleError on NaN: argmax would silently pick one.
         """
         from agent.network import said  # compiled when it is imported
 
@@ -95,8 +97,9 @@ class Bundle:
     def waypoint(
         self, belief: Belief, particles: Particles, reach: Reach, _rng: np.random.Generator
     ) -> tuple[float, float]:
-        """Return the next waypoint (x, y) m. A learned policy always takes its best action and draws no
-        random numbers.
+        """Return the next waypoint (x, y) m.
+
+        A learned policy always takes its best action and draws no random numbers.
         """
         observation, frame = self._schema.see(belief, particles)
         move = self.page.move

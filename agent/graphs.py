@@ -112,8 +112,9 @@ def read(data: bytes, size: int) -> list[Layer]:
 
 
 def _layers(graph: Any, flowing: str, size: int, weights: dict[str, Array]) -> Iterator[Layer]:
-    """Yield the layer of each node. `flowing` is the name of what the first one takes, `size` how many
-    numbers that are.
+    """Yield the layer of each node.
+
+    `flowing` is the name of what the first one takes, `size` how many numbers that are.
     """
     for node in graph.node:
         name, *constants = node.input or [""]

@@ -78,8 +78,9 @@ def _about(plugin: EntryPoint) -> str:
 
 
 def check(name: str) -> None:
-    """Raise ValueError if no policy has this name, or the file is not a bundle. The policy is not loaded,
-    which may take seconds.
+    """Raise ValueError if no policy has this name, or the file is not a bundle.
+
+    The policy is not loaded, which may take seconds.
     """
     if name in PLANNERS:
         return

@@ -102,8 +102,9 @@ def run(
 
 
 def _belief(bus: Bus, arrival: Arrival, area_m: float) -> tuple[Belief, Particles] | None:
-    """Return the belief of a message. An invalid one, which no policy could answer, is refused and gives
-    None; so does all else.
+    """Return the belief of a message.
+
+    An invalid one, which no policy could answer, is refused and gives None; so does all else.
     """
     if arrival.key is STOP:
         bus.take_stop(arrival)

@@ -14,8 +14,9 @@ from link.modes import Mode
 
 
 class Aircraft(Protocol):
-    """A vehicle as its search knows it: the simulated `Vehicle`, or a `RemoteVehicle`. Times in s,
-    positions NED, in m from home.
+    """A vehicle as its search knows it: the simulated `Vehicle`, or a `RemoteVehicle`.
+
+    Times in s, positions NED, in m from home.
     """
 
     @property

@@ -156,8 +156,9 @@ class CommandRun:
         return again
 
     def acknowledged(self, number: int, result: int, now_s: float) -> None:
-        """Take a COMMAND_ACK: the MAV_CMD and its MAV_RESULT. The first result counts, unless it says that
-        more will follow.
+        """Take a COMMAND_ACK: the MAV_CMD and its MAV_RESULT.
+
+        The first result counts, unless it says that more will follow.
         """
         if number == self._message.command and self._result in (None, mavlink.MAV_RESULT_IN_PROGRESS):
             self._result, self._answered_s = result, now_s

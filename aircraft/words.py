@@ -22,8 +22,9 @@ class Words:
         self._chunked_texts = 0
 
     def statustext(self, severity: int, text: str) -> list[Message]:
-        """Return a text as STATUSTEXT (253). A long text is split into chunks of one id; the first chunk
-        that is not full ends it.
+        """Return a text as STATUSTEXT (253).
+
+        A long text is split into chunks of one id; the first chunk that is not full ends it.
         """
         raw = text.encode("ascii", "replace")
         if len(raw) <= TEXT_LENGTH:

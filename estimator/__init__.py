@@ -1,3 +1,4 @@
-"""The particle filter: takes readings, publishes beliefs and the stop. Imports: plume, link, link.bus,
-estimator.kernels.
+"""The particle filter: takes readings, publishes beliefs and the stop.
+
+Imports: plume, link, link.bus, estimator.kernels.
 """

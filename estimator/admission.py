@@ -17,8 +17,9 @@ HIGHEST_M = 10_000.0  # altitude above or below home. Drones fly lower, and gas 
 
 
 def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[str, str] | None:
-    """Return kind and text of the reason to refuse a reading; None if it is admitted. `latest` is the last
-    reading admitted.
+    """Return kind and text of the reason to refuse a reading; None if it is admitted.
+
+    `latest` is the last reading admitted.
     """
     if not all(0.0 <= value <= config.area_m for value in reading.position):
         area = f"[0, {config.area_m:g}] x [0, {config.area_m:g}] m"
@@ -54,8 +55,9 @@ def greatest_concentration(config: Config) -> float:
 
 
 def _noisiest(config: Config) -> Sensor:
-    """Return the sensor with the greatest noise that the prior of its factor allows. That of hits is
-    Poisson's and has no factor.
+    """Return the sensor with the greatest noise that the prior of its factor allows.
+
+    That of hits is Poisson's and has no factor.
     """
     if isinstance(config.sensor, Hits):
         return config.sensor

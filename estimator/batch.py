@@ -25,13 +25,15 @@ MISSIONS_PER_TASK = 8
 
 
 class Batch:
-    """Missions side by side, each at its own step; changed in place. All have the same number of particles
-    and the same unknowns.
+    """Missions side by side, each at its own step; changed in place.
+
+    All have the same number of particles and the same unknowns.
     """
 
     def __init__(self, configs: Sequence[Config], threads: int = 1) -> None:
-        """Begin with the priors. Raises ValueError if missions differ in their number of particles or
-        their unknowns.
+        """Begin with the priors.
+
+        Raises ValueError if missions differ in their number of particles or their unknowns.
         """
         first, count = configs[0], len(configs)
         rows, particles = len(first.unknown_indices), first.particles
@@ -50,8 +52,9 @@ class Batch:
             self.begin(mission, config)
 
     def begin(self, mission: int, config: Config) -> None:
-        """Replace a mission by a new one. Raises ValueError if its number of particles or its unknowns
-        differ.
+        """Replace a mission by a new one.
+
+        Raises ValueError if its number of particles or its unknowns differ.
         """
         first = self._configs[0]
         if (config.particles, config.unknowns) != (first.particles, first.unknowns):

@@ -91,8 +91,9 @@ class Config:
 
     @cached_property
     def effective_priors(self) -> Mapping[str, Prior]:
-        """Priors by name: those of the assumption, each replaced by the one in `priors`. Uniform ones of x
-        and y are not among them.
+        """Priors by name: those of the assumption, each replaced by the one in `priors`.
+
+        Uniform ones of x and y are not among them.
         """
         return effective_priors(self.assume, self.priors, self.rate, self.lifetime, self.sensor)
 
@@ -139,14 +140,16 @@ class Config:
 
     @property
     def sweeps(self) -> int:
-        """Most Metropolis sweeps after each resampling. More unknowns need more, since fewer proposals are
-        accepted.
+        """Most Metropolis sweeps after each resampling.
+
+        More unknowns need more, since fewer proposals are accepted.
         """
         return 3 * max(len(self.unknown_indices) - 1, 1)
 
     def row(self, reading: Reading) -> Array:
-        """Return a reading as the kernels take it, (7,). The last number, the exponent of its likelihood,
-        is 1; `update` may lower it.
+        """Return a reading as the kernels take it, (7,).
+
+        The last number, the exponent of its likelihood, is 1; `update` may lower it.
         """
         height = reading.altitude_m if "z" in self.priors else 0.0
         return np.array([*reading.position, height, *reading.wind, reading.gas, 1.0])

@@ -33,8 +33,9 @@ def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def criteria(args: argparse.Namespace) -> list[Criterion]:
-    """Return the stop criteria of --threshold or --stop, several where a command takes several. Raises
-    ValueError with what is allowed.
+    """Return the stop criteria of --threshold or --stop, several where a command takes several.
+
+    Raises ValueError with what is allowed.
     """
     if args.stop is None:
         return [

@@ -14,8 +14,9 @@ from plume.sensor import text
 
 
 def run(bus: Bus, config: Config, system: int | None) -> None:
-    """Serve until interrupted. The first readings are those published before it joined: this alone
-    recovers a restarted estimator.
+    """Serve until interrupted.
+
+    The first readings are those published before it joined: this alone recovers a restarted estimator.
 
     system: the vehicle's MAVLink system id; None: that of the first reading that is admitted.
     """

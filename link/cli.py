@@ -79,8 +79,9 @@ class Parser(argparse.ArgumentParser):
         return parsed, unknown
 
     def _refuse_unknown_flags(self, words: Iterable[str]) -> None:
-        """Refuse a wrong flag before its value is taken for something else. Words behind a command are the
-        command's.
+        """Refuse a wrong flag before its value is taken for something else.
+
+        Words behind a command are the command's.
         """
         flags = self._option_string_actions
         for word in words:
@@ -345,8 +346,9 @@ def reach_given(args: argparse.Namespace) -> dict[str, float]:
 
 
 def checked(parse: Callable[[str], object], known: Collection[str] = ()) -> Callable[[str], str]:
-    """Argument type: text that `parse` accepts; its ValueError says what is allowed. A name before a colon
-    may be near a known one.
+    """Argument type: text that `parse` accepts; its ValueError says what is allowed.
+
+    A name before a colon may be near a known one.
     """
 
     def check(text: str) -> str:
@@ -456,8 +458,9 @@ def _status(command: Callable[[], int | None]) -> int:
 
 
 def _refusals() -> tuple[type[Exception], ...]:
-    """Return the errors of one line. Their modules take long to load: one that has not been loaded has
-    raised none.
+    """Return the errors of one line.
+
+    Their modules take long to load: one that has not been loaded has raised none.
     """
     names = {"link.access.identity": "AccessError", "link.bus.opening": "BusError"}
     return tuple(

@@ -39,8 +39,9 @@ class Keyed:
         self._state = self._bits.state
 
     def at(self, seed: int, stream: str, step: int = 0) -> np.random.Generator:
-        """Return the generator, at the beginning of this (seed, stream, step). It is valid until the next
-        call.
+        """Return the generator, at the beginning of this (seed, stream, step).
+
+        It is valid until the next call.
         """
         self._state["state"]["key"][:] = seed, _word(stream)
         self._state["state"]["counter"][:] = 0, 0, step, 0
@@ -88,8 +89,9 @@ class Abreast:
         self._draws: list[Callable[[np.random.Generator, int], float]] = []
 
     def _drawn(self, draw: Callable[[np.random.Generator, int], float]) -> list[float]:
-        """Draw once more from each key. Its earlier draws are repeated first, to bring the shared
-        generator to the right state.
+        """Draw once more from each key.
+
+        Its earlier draws are repeated first, to bring the shared generator to the right state.
         """
         *before, last = self._draws = [*self._draws, draw]
         numbers = []

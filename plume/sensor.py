@@ -66,8 +66,9 @@ def _gamma_and_normal(reading: Array, mean: Array, std: Array, cv: float) -> Arr
 
 @dataclass(frozen=True)
 class Gaussian:
-    """The paper's sensor: z = m + v, v ~ N(0, σ²), σ² = (α m)² + β². The two noises are independent and
-    add in quadrature.
+    """The paper's sensor: z = m + v, v ~ N(0, σ²), σ² = (α m)² + β².
+
+    The two noises are independent and add in quadrature.
     """
 
     sensor_noise: float = 0.3

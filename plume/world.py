@@ -19,15 +19,17 @@ from plume.worlds import AS_MODELLED, errors
 
 
 def float32(value: float) -> float:
-    """Round to the nearest float32, as the wire rounds positions, wind and gas. In-process missions round
-    the same way.
+    """Round to the nearest float32, as the wire rounds positions, wind and gas.
+
+    In-process missions round the same way.
     """
     return float(np.float32(value))
 
 
 class World:
-    """A scenario, the noise of its sensor, and how the truth differs from both. It answers with what an
-    instrument would read.
+    """A scenario, the noise of its sensor, and how the truth differs from both.
+
+    It answers with what an instrument would read.
 
     `wind` is (u cos φ, u sin φ) in m/s and points to where the wind comes from; `start` is where the
     search begins, (x, y) in metres.
@@ -42,8 +44,9 @@ class World:
     def __init__(
         self, scenario: Scenario, seed: int, sensor: Sensor = GAUSSIAN, name: str = AS_MODELLED
     ) -> None:
-        """Take the mission's seed: the noise of reading k is keyed by (seed, k). Raises ValueError on an
-        unknown name.
+        """Take the mission's seed: the noise of reading k is keyed by (seed, k).
+
+        Raises ValueError on an unknown name.
 
         scenario, sensor: what the estimator is told. name: of a world in `plume.worlds`, which says how
         the truth differs.
@@ -87,8 +90,9 @@ class World:
         return float(gas_of([self], np.array([position]), [step], self._noise)[0])
 
     def loses(self, step: int) -> bool:
-        """Whether reading number `step` has no value at first. The one then taken in its place is that of
-        `gas`.
+        """Whether reading number `step` has no value at first.
+
+        The one then taken in its place is that of `gas`.
         """
         return (
             step > 0
@@ -143,8 +147,9 @@ class World:
 def gas_of(
     worlds: Sequence[World], positions: NDArray[np.float64], steps: Sequence[int], noise: Keyed
 ) -> NDArray[np.float64]:
-    """Take one reading in each of M worlds at positions (M, 2) m: (M,) float32 values. `noise` is the
-    generator to draw with.
+    """Take one reading in each of M worlds at positions (M, 2) m: (M,) float32 values.
+
+    `noise` is the generator to draw with.
     """
     places = np.zeros((len(worlds), 3))
     places[:, :2] = positions

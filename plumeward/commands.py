@@ -98,8 +98,9 @@ def main() -> int | None:
 
 
 def _words_to_complete() -> list[str]:
-    """Return the command whose arguments the shell completes. While the command itself is typed, offer
-    commands and exit.
+    """Return the command whose arguments the shell completes.
+
+    While the command itself is typed, offer commands and exit.
     """
     line = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))]
     complete = f"{line}|".split()[:-1]  # without the word that the cursor is in

@@ -10,8 +10,9 @@ ENVIRONMENTS = {"plumeward/SourceSearch-v0": False, "plumeward/SourceSearchConti
 
 
 def register() -> None:
-    """Register the environments, once: now if gymnasium has been loaded, else as soon as it is. It takes
-    long to load.
+    """Register the environments, once: now if gymnasium has been loaded, else as soon as it is.
+
+    It takes long to load.
     """
     if "gymnasium" in sys.modules:
         _register()

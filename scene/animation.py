@@ -19,8 +19,9 @@ MP4 = "-pix_fmt yuv420p -movflags +faststart -fflags +bitexact -f mp4"  # what a
 
 
 def write_gif(frames: Iterable[Picture], path: Path) -> None:
-    """Write frames as a GIF that repeats for ever. They must differ, each from the one before it. Raises
-    ValueError without any.
+    """Write frames as a GIF that repeats for ever.
+
+    They must differ, each from the one before it. Raises ValueError without any.
     """
     from PIL import Image
 
@@ -44,8 +45,9 @@ def write_gif(frames: Iterable[Picture], path: Path) -> None:
 
 
 def write_mp4(frames: Iterable[Picture], path: Path) -> None:
-    """Write frames as an MP4, by the program ffmpeg. Raises ValueError without any frames, OSError if
-    ffmpeg is missing or fails.
+    """Write frames as an MP4, by the program ffmpeg.
+
+    Raises ValueError without any frames, OSError if ffmpeg is missing or fails.
     """
     feed = _held(frames)
     first = next(feed, None)

@@ -172,13 +172,15 @@ class _Cloud:
 
 
 class Drawing:
-    """One figure that shows scenes of one mission, one after the other. What does not change is drawn
-    once.
+    """One figure that shows scenes of one mission, one after the other.
+
+    What does not change is drawn once.
     """
 
     def __init__(self, scene: Scene, beliefs: int = 1, steps: int = 20) -> None:
-        """Draw what does not change. `beliefs`: how many can be shown at once, 1 to 5; the charts begin
-        with room for `steps`.
+        """Draw what does not change.
+
+        `beliefs`: how many can be shown at once, 1 to 5; the charts begin with room for `steps`.
         """
         self._backdrop = scene.backdrop
         self._room = [float(max(steps, 1)), 0.5, 10.0]  # of the charts: steps, gas below 0, gas
@@ -196,8 +198,9 @@ class Drawing:
             self._begin(beliefs)
 
     def show(self, scene: Scene, beliefs: Sequence[Scene] | None = None) -> "Drawing":
-        """Show a scene: with vehicle and belief or, for print, with the newest belief of each of
-        `beliefs`. Returns itself.
+        """Show a scene: with vehicle and belief or, for print, with the newest belief of each of `beliefs`.
+
+        Returns itself.
         """
         vehicle = beliefs is None
         beliefs = [scene] if beliefs is None else beliefs

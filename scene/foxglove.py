@@ -114,8 +114,10 @@ class SceneEncoder:
         self._happening: Happening | None = None
 
     def encode(self, scene: Scene, stamp_ns: int) -> list[Encoded]:
-        """Return what changed. `stamp_ns` is the messages' timestamp, ns since the Unix epoch: viewers
-        compare it with their clock.
+        """Return what changed.
+
+        `stamp_ns` is the messages' timestamp, ns since the Unix epoch: viewers compare it with their
+        clock.
         """
         return [
             *self._backdrop(scene, stamp_ns),

@@ -1,5 +1,6 @@
-"""The scene: what there is to see of one mission at one moment. Metres, seconds; x east, y north, from
-home; angles in rad.
+"""The scene: what there is to see of one mission at one moment.
+
+Metres, seconds; x east, y north, from home; angles in rad.
 """
 
 import math
@@ -172,8 +173,9 @@ class Scene:
 
 
 def judged(step: int, estimate: Point, spread_m: float, release: Release | None) -> Ending:
-    """Return how a search that was stopped has ended. Only a simulation can tell whether the stop is
-    right.
+    """Return how a search that was stopped has ended.
+
+    Only a simulation can tell whether the stop is right.
     """
     words = f"source found at ({estimate[0]:.2f}, {estimate[1]:.2f}) ± {spread_m:.2f} m after {step} steps"
     if release is None:

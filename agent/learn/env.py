@@ -42,8 +42,9 @@ class ActionError(gymnasium.error.InvalidAction, ValueError):
 
 @dataclass(frozen=True)
 class Settings:
-    """The arguments of `SourceSearch`, which says what they mean. Raises ValueError that says what is
-    allowed.
+    """The arguments of `SourceSearch`, which says what they mean.
+
+    Raises ValueError that says what is allowed.
     """
 
     continuous: bool = False
@@ -85,8 +86,9 @@ class Settings:
 
     @classmethod
     def of(cls, given: Mapping[str, Any], *others: str) -> "Settings":
-        """Return the settings `given`; `others` names other known arguments. Raises TypeError on an
-        unknown one, or ValueError.
+        """Return the settings `given`; `others` names other known arguments.
+
+        Raises TypeError on an unknown one, or ValueError.
         """
         names = [field.name for field in fields(cls)]
         for name, value in given.items():
@@ -120,8 +122,9 @@ class Settings:
         )
 
     def onlooker(self, render_mode: str | None) -> Onlooker | None:
-        """Return who draws missions; None where nothing is to be drawn. Raises ValueError on another mode
-        than `rgb_array`.
+        """Return who draws missions; None where nothing is to be drawn.
+
+        Raises ValueError on another mode than `rgb_array`.
         """
         check(render_mode)
         return Onlooker(self.criterion.text, self.assume, self.budget) if render_mode else None
@@ -193,8 +196,9 @@ def _refuse(options: Any) -> None:
 
 
 def _told(missions: Missions) -> dict[str, Any]:
-    """The infos of each mission; the policy does not see them. `located` is False where the mission has
-    not ceased.
+    """The infos of each mission; the policy does not see them.
+
+    `located` is False where the mission has not ceased.
     """
     return {
         "seed": missions.seeds.copy(),
@@ -316,8 +320,9 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         return self.missions.observations[0].copy(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Fly to the waypoint of the action and take a reading there. Raises ActionError on one outside
-        the action space.
+        """Fly to the waypoint of the action and take a reading there.
+
+        Raises ActionError on one outside the action space.
         """
         if self.missions is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
@@ -360,8 +365,9 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def __init__(
         self, num_envs: int = 1, threads: int = 1, render_mode: str | None = None, **settings: Any
     ) -> None:
-        """Make `num_envs` missions; `threads` share the compiled part of the work. Raises like
-        `SourceSearch`.
+        """Make `num_envs` missions; `threads` share the compiled part of the work.
+
+        Raises like `SourceSearch`.
         """
         for name, value in (("num_envs", num_envs), ("threads", threads)):
             _check_whole(name, value, 1)
@@ -410,8 +416,9 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def step(
         self, actions: NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Fly each mission to the waypoint of its action and take a reading there. On a wrong action
-        raises ActionError and moves none.
+        """Fly each mission to the waypoint of its action and take a reading there.
+
+        On a wrong action raises ActionError and moves none.
         """
         missions = self.missions
         if missions is None:

@@ -92,8 +92,9 @@ class Missions:
         return self._worlds
 
     def measurement(self, mission: int) -> Measurement:
-        """Return a mission's newest reading and the belief after it. The time is the step: there is no
-        clock.
+        """Return a mission's newest reading and the belief after it.
+
+        The time is the step: there is no clock.
         """
         step, (x, y), (east, north) = (
             int(self.steps[mission]),

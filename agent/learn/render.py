@@ -48,8 +48,9 @@ class Onlooker:
             taken.append(missions.measurement(i))
 
     def frame(self, missions: Missions, i: int) -> Frame:
-        """Return the picture of mission i, (540, 960, 3). Raises gymnasium's DependencyNotInstalled
-        without matplotlib.
+        """Return the picture of mission i, (540, 960, 3).
+
+        Raises gymnasium's DependencyNotInstalled without matplotlib.
         """
         try:
             from scene.drawing import Drawing

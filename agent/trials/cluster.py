@@ -26,8 +26,9 @@ class ClusterError(Exception):
 
 
 def join(address: str) -> None:
-    """Join the Ray cluster at an address: HOST:PORT of its head, or auto. This machine must be one of its
-    nodes. Raises ClusterError.
+    """Join the Ray cluster at an address: HOST:PORT of its head, or auto.
+
+    This machine must be one of its nodes. Raises ClusterError.
     """
     os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "1")  # each retry takes 40 s
     try:
@@ -55,8 +56,9 @@ def join(address: str) -> None:
 
 
 def on_cluster(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[list[MissionRow], None, None]:
-    """Fly on the cluster that `join` joined, then leave it. Raises ClusterError where a node has other
-    code.
+    """Fly on the cluster that `join` joined, then leave it.
+
+    Raises ClusterError where a node has other code.
     """
     import ray
 

@@ -228,8 +228,9 @@ def _evaluate(sweep: "Sweep", there: Sequence[MissionRow], args: argparse.Namesp
 
 
 def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
-    """Return the figures by policy. Where worlds differ, the key names the world too; so it is with
-    particles, thresholds and stops.
+    """Return the figures by policy.
+
+    Where worlds differ, the key names the world too; so it is with particles, thresholds and stops.
     """
     groups = groupby(rows, key=lambda row: (row.policy, row.world, row.particles, row.threshold_m, row.stop))
     told = [(key[0], figures(list(group))) for key, group in groups]
@@ -252,8 +253,9 @@ def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
 
 
 def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
-    """Write a header and one row per mission, with six significant digits. A name that ends in .gz is
-    compressed.
+    """Write a header and one row per mission, with six significant digits.
+
+    A name that ends in .gz is compressed.
 
     An existing file stays as it is until the new one is complete.
     """
@@ -281,8 +283,9 @@ def read_csv(path: Path) -> list[MissionRow]:
 
 
 def _lines(file: IO[str]) -> Iterator[str]:
-    """Yield the lines of a file; raises ValueError on more than such a file can have. A small .gz file may
-    hold gigabytes.
+    """Yield the lines of a file; raises ValueError on more than such a file can have.
+
+    A small .gz file may hold gigabytes.
     """
     for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), "")):
         if len(line) == LONGEST_LINE or number > MOST_ROWS:

@@ -31,8 +31,9 @@ UNKNOWN = "–"
 
 
 class MissionRow(msgspec.Struct, frozen=True):
-    """The result of one mission: a row of the raw results. If it did not cease, its figures are those of
-    its last step.
+    """The result of one mission: a row of the raw results.
+
+    If it did not cease, its figures are those of its last step.
     """
 
     policy: str
@@ -100,8 +101,9 @@ class Interval(msgspec.Struct, frozen=True):
 def nees(
     estimate: tuple[float, float], source: tuple[float, float], covariance: tuple[float, float, float]
 ) -> float:
-    """Normalised estimation error squared, eᵀ C⁻¹ e; covariance C: (xx, xy, yy) m². Of a C without width,
-    that along its line alone.
+    """Normalised estimation error squared, eᵀ C⁻¹ e; covariance C: (xx, xy, yy) m².
+
+    Of a C without width, that along its line alone.
     """
     (east, north), (xx, xy, yy) = (a - b for a, b in zip(estimate, source, strict=True)), covariance
     determinant, trace = xx * yy - xy * xy, xx + yy
@@ -127,8 +129,9 @@ def mean(samples: Array) -> Array:
 
 
 def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Interval:
-    """A statistic of values (n, …) and its percentile interval; NaN for no values. `statistic` maps
-    samples (R, n, …) to (R,).
+    """A statistic of values (n, …) and its percentile interval; NaN for no values.
+
+    `statistic` maps samples (R, n, …) to (R,).
     """
     if len(values) == 0:
         return Interval(math.nan, math.nan, math.nan)

@@ -41,8 +41,9 @@ def progress_bar(*, stands: bool = False) -> Progress:
 def with_bar(
     flights: Generator[Flown, None, None], total: int, what: str, starting: str
 ) -> Generator[Flown, None, None]:
-    """Yield what `flights` yields and show a bar of `total`. It is named `starting` until the first
-    result, then `what`.
+    """Yield what `flights` yields and show a bar of `total`.
+
+    It is named `starting` until the first result, then `what`.
     """
     with progress_bar() as progress, closing(flights):
         task = progress.add_task(starting, total=total)

@@ -70,8 +70,9 @@ def mission(
 
 
 def check(assume: str, knowledge: Mapping[str, Any]) -> None:
-    """Refuse further fields of `Config` that a mission cannot take. Raises TypeError, or ValueError if
-    they are inconsistent.
+    """Refuse further fields of `Config` that a mission cannot take.
+
+    Raises TypeError, or ValueError if they are inconsistent.
     """
     for name, value in knowledge.items():
         if name not in FURTHER:

@@ -270,8 +270,9 @@ def complete(sweep: Sweep, rows: Iterable[MissionRow]) -> dict[Flight, list[Miss
 
 
 def kept(sweep: Sweep, journal: Path) -> dict[Flight, list[MissionRow]]:
-    """Return the flights of a sweep in a journal. A line that cannot be read was left incomplete by an
-    interrupt.
+    """Return the flights of a sweep in a journal.
+
+    A line that cannot be read was left incomplete by an interrupt.
     """
     done: dict[Flight, list[MissionRow]] = {}
     if journal.exists():

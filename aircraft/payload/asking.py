@@ -14,8 +14,9 @@ __all__ = ["Asking", "Sample"]
 
 
 class Asking:
-    """Asks the payload for a value. Question or answer may be lost, doubled or late; the payload may start
-    again.
+    """Asks the payload for a value.
+
+    Question or answer may be lost, doubled or late; the payload may start again.
     """
 
     def __init__(
@@ -34,8 +35,9 @@ class Asking:
         return self._open is not None
 
     def ask(self, time_boot_ms: int, number: int, position: Ned, wind: Wind | None) -> None:
-        """Ask for reading `number` at a position (north, east, down) m. It replaces an open question,
-        whose answer no longer counts.
+        """Ask for reading `number` at a position (north, east, down) m.
+
+        It replaces an open question, whose answer no longer counts.
 
         wind: (u cos φ, u sin φ) m/s, points to where it comes from, as the autopilot reports it; None if
         it reports none.
@@ -55,8 +57,9 @@ class Asking:
         return self._repeating.due_s if self._open else math.inf
 
     def receive(self, payload: bytes) -> Sample | None:
-        """Return the answer to the open question, which is then closed; None for any other. Raises
-        BadFrame as `unpack_answer` does.
+        """Return the answer to the open question, which is then closed; None for any other.
+
+        Raises BadFrame as `unpack_answer` does.
         """
         sample = unpack_answer(payload)
         if self._open is None or sample.time_boot_ms != self._open[0]:

@@ -19,16 +19,18 @@ Measure = Callable[[Question], Sample]  # measures once; may take TIMEOUT_S
 
 
 class Driver(Protocol):
-    """A gas sensor. It is made with the text behind the colon in `--payload NAME:TEXT`, empty if there is
-    none.
+    """A gas sensor.
+
+    It is made with the text behind the colon in `--payload NAME:TEXT`, empty if there is none.
 
     All methods are called in one thread, except `close`. What they raise is counted and logged, and costs
     no more than the value.
     """
 
     def open(self) -> None:
-        """Begin; called once. What this raises ends the payload with status 2: raise only what waiting
-        cannot mend.
+        """Begin; called once.
+
+        What this raises ends the payload with status 2: raise only what waiting cannot mend.
         """
 
     def read(self, timeout_s: float) -> float:
@@ -42,8 +44,9 @@ class Driver(Protocol):
 
 
 def make(text: str, log: Log) -> Driver:
-    """Return the driver that a text names. Raises ValueError, with what is wrong, if a plug-in cannot be
-    used.
+    """Return the driver that a text names.
+
+    Raises ValueError, with what is wrong, if a plug-in cannot be used.
     """
     name, _, rest = text.partition(":")
     if name == SERIAL:

@@ -24,8 +24,9 @@ LOOK_S = 0.1  # how often a lost device is looked for while a value is wanted
 
 
 class NumberLines:
-    """Cuts bytes into lines, holding at most one, and turns them into numbers. The first line may lack its
-    beginning: it is left out.
+    """Cuts bytes into lines, holding at most one, and turns them into numbers.
+
+    The first line may lack its beginning: it is left out.
     """
 
     def __init__(self, log: Log) -> None:
@@ -39,8 +40,9 @@ class NumberLines:
         self.begun = None
 
     def take(self, data: bytes) -> list[float]:
-        """Return the numbers of the lines that are now complete. Blank lines say nothing; others are
-        counted and told of once.
+        """Return the numbers of the lines that are now complete.
+
+        Blank lines say nothing; others are counted and told of once.
         """
         *lines, begun = END_OF_LINE.split((self.begun or b"") + data)
         if self.begun is None and not lines:

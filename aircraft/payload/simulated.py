@@ -9,8 +9,9 @@ from plume.world import World
 
 
 class Simulated:
-    """A sensor in a world. Its values depend on world, seed and question alone, so that it may start again
-    at any time.
+    """A sensor in a world.
+
+    Its values depend on world, seed and question alone, so that it may start again at any time.
     """
 
     def __init__(self, world: World) -> None:
@@ -19,8 +20,9 @@ class Simulated:
         self._lost = -1
 
     def __call__(self, question: Question) -> Sample:
-        """Measure once. The plume blows with the wind of the question; without one, with that of the
-        scenario.
+        """Measure once.
+
+        The plume blows with the wind of the question; without one, with that of the scenario.
         """
         world = self.world if question.wind is None else blown(self.world, question.wind)
         wind = question.wind or world.wind

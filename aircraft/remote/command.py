@@ -38,8 +38,9 @@ def run(args: argparse.Namespace, orders: Orders, config: AircraftConfig) -> int
 def real_vehicle(
     url: str, config: AircraftConfig, speedup: float, sysid: int | None, wait_s: float, log: Log
 ) -> tuple[RemoteVehicle, Connection]:
-    """Return the vehicle at a URL, and the connection to close in the end. Raises ValueError if the URL
-    cannot be used.
+    """Return the vehicle at a URL, and the connection to close in the end.
+
+    Raises ValueError if the URL cannot be used.
     """
     connection = Connection(parse_address(url), log)
     address = connection.address

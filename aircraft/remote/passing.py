@@ -1,5 +1,6 @@
-"""A real vehicle's clients: what its autopilot says is passed on to them, what they say to it. The search
-is a component beside it.
+"""A real vehicle's clients: what its autopilot says is passed on to them, what they say to it.
+
+The search is a component beside it.
 """
 
 import contextlib
@@ -52,8 +53,9 @@ waits for 11 s.
 
 
 def leave(vehicle: RemoteVehicle, clock: Clock, tell: Callable[[int, str], None]) -> None:
-    """See to it that a real vehicle in the air has someone in charge when this program ends. It takes at
-    most `LEAVE_S`.
+    """See to it that a real vehicle in the air has someone in charge when this program ends.
+
+    It takes at most `LEAVE_S`.
 
     Call it where no signal can cut it short (`link.interrupts.uninterrupted`).
     """
@@ -73,8 +75,9 @@ def leave(vehicle: RemoteVehicle, clock: Clock, tell: Callable[[int, str], None]
 
 
 class RealClients:
-    """The clients of a real vehicle. Each gets every frame of the autopilot, and every word of the search,
-    which is component 191.
+    """The clients of a real vehicle.
+
+    Each gets every frame of the autopilot, and every word of the search, which is component 191.
     """
 
     component = SEARCH

@@ -34,8 +34,9 @@ def will_estimate(parameters: Mapping[str, float], firmware: str) -> bool:
 
 
 class Winds:
-    """The wind of each reading. A source that goes quiet is replaced by another one, which is told, or by
-    none: never by a drawn wind.
+    """The wind of each reading.
+
+    A source that goes quiet is replaced by another one, which is told, or by none: never by a drawn wind.
     """
 
     def __init__(self, given: Wind | None, scenario: Wind) -> None:

@@ -29,8 +29,9 @@ class Answers:
         self.newest, self.awaited = time_boot_ms, True
 
     def refusal(self, time_boot_ms: int) -> Result | None:
-        """Return why a waypoint with this time is not the awaited answer, if so. One that comes late or
-        twice is only ignored.
+        """Return why a waypoint with this time is not the awaited answer, if so.
+
+        One that comes late or twice is only ignored.
         """
         if time_boot_ms not in self._readings:
             return denied(f"Waypoint refused: no reading was taken at {time_boot_ms} ms", "no reading")

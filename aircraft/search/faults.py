@@ -10,8 +10,9 @@ from plume.world import float32
 
 
 class FaultySensor:
-    """Applies a script's sensor faults to each reading. Values are in the sensor's unit, times are
-    simulation time in s.
+    """Applies a script's sensor faults to each reading.
+
+    Values are in the sensor's unit, times are simulation time in s.
     """
 
     def __init__(self) -> None:
@@ -36,8 +37,9 @@ class FaultySensor:
         return now_s < self._silent_until_s
 
     def read(self, gas: float) -> float:
-        """Return the faulty value for a true one, as float32 as on the wire. A stuck sensor hides spikes;
-        their readings still count.
+        """Return the faulty value for a true one, as float32 as on the wire.
+
+        A stuck sensor hides spikes; their readings still count.
         """
         gas = float32(gas + sum(added for _, added in self._spikes))
         self._spikes = [(left - 1, added) for left, added in self._spikes if left > 1]
@@ -49,8 +51,9 @@ class FaultySensor:
 
 
 class FaultyRadio:
-    """Loses, delays and duplicates readings on their way to the bus. Its times are real time in s,
-    whatever the speed-up.
+    """Loses, delays and duplicates readings on their way to the bus.
+
+    Its times are real time in s, whatever the speed-up.
     """
 
     def __init__(self, publish: Callable[[bytes], None]) -> None:

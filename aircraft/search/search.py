@@ -1,5 +1,6 @@
-"""The search's side of the vehicle: when it begins and ends, and who leads, the search or a pilot. The
-pilot always wins.
+"""The search's side of the vehicle: when it begins and ends, and who leads, the search or a pilot.
+
+The pilot always wins.
 
 One rule: the search leads only while it holds control. Anyone else's change of mode takes control at once;
 the search then leads again only when it is given back: a simulated vehicle by OFFBOARD, a real one by a

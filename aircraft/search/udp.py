@@ -14,8 +14,9 @@ from link.signing.signer import Signing
 
 
 class UdpPort:
-    """What lies behind one URL. A message goes to all who are there; one that cannot be sent is lost, as on
-    a radio.
+    """What lies behind one URL.
+
+    A message goes to all who are there; one that cannot be sent is lost, as on a radio.
     """
 
     def __init__(self, endpoint: Endpoint, codec: Codec) -> None:

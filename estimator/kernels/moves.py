@@ -128,8 +128,9 @@ def _propose_places(particles: Array, key: np.uint64, proposals: Array, needed: 
 
 @numba.njit(error_model="numpy")
 def _refuse_outside(proposals: Array, model: Model, needed: Array) -> None:
-    """Make `needed` infinite where a proposal leaves the prior's support. (Reflection at the ends would make
-    correlated steps asymmetric.)
+    """Make `needed` infinite where a proposal leaves the prior's support.
+
+    (Reflection at the ends would make correlated steps asymmetric.)
     """
     for row in range(len(proposals)):
         low, high = model.priors[model.unknowns[row], 3], model.priors[model.unknowns[row], 4]

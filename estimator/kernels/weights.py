@@ -119,8 +119,9 @@ def moments_of_missions(
 
 @kernel("int64[::1](float64[::1], float64)")
 def systematic(weights: Array, offset: float) -> NDArray[np.int64]:
-    """Systematic resampling: returns the ancestors (N,). The cumulative weight passes (k + offset) / N at
-    ancestor k; offset in [0, 1).
+    """Systematic resampling: returns the ancestors (N,).
+
+    The cumulative weight passes (k + offset) / N at ancestor k; offset in [0, 1).
     """
     count = len(weights)
     ancestors = np.empty(count, np.int64)

@@ -121,8 +121,9 @@ def _history(path: Path) -> tuple["History", bool]:
 
 
 def _beliefs(history: "History", steps: Sequence[int] | None) -> list["Scene"]:
-    """Return the scenes whose beliefs the picture shows. Raises _Undrawable on a step that the log has
-    not.
+    """Return the scenes whose beliefs the picture shows.
+
+    Raises _Undrawable on a step that the log has not.
     """
     from scene.drawing import BELIEFS
 

@@ -178,8 +178,9 @@ def _await_batch(ends: list[int]) -> None:
 
 
 def _give_way() -> None:
-    """Lower the priority of this thread. Zenoh's threads, already running, keep theirs: the router waits
-    for them.
+    """Lower the priority of this thread.
+
+    Zenoh's threads, already running, keep theirs: the router waits for them.
     """
     if sys.platform == "linux":  # elsewhere it would affect the whole process
         os.nice(NICENESS)

@@ -13,8 +13,9 @@ from scene.foxglove import Encoded, SceneEncoder, pose_slot
 
 
 class RecordedScene:
-    """The scene of a mission that is being recorded. Its memory is bounded, and it follows no more
-    telemetry than it shows.
+    """The scene of a mission that is being recorded.
+
+    Its memory is bounded, and it follows no more telemetry than it shows.
     """
 
     def __init__(self, about: dict[str, Any], namespace: str) -> None:
@@ -26,8 +27,9 @@ class RecordedScene:
         self.failure = ""  # why there are no more scenes: messages are recorded in any case
 
     def take(self, entry: Entry, stamp_ns: int) -> list[Encoded]:
-        """Take a message; returns what changed for viewers. `stamp_ns` is the time at which it is
-        recorded. Raises nothing.
+        """Take a message; returns what changed for viewers.
+
+        `stamp_ns` is the time at which it is recorded. Raises nothing.
         """
         if self.failure:
             return []

@@ -62,8 +62,9 @@ class Survey:
 
     @property
     def tables(self) -> list[KeyTable]:
-        """Return a table for each key. Simulation times from before the vehicle told its clock are left
-        out.
+        """Return a table for each key.
+
+        Simulation times from before the vehicle told its clock are left out.
         """
         began = began_s(time_s for times in self.simulation_s.values() for time_s in times)
         told = {

@@ -1,5 +1,6 @@
-"""`plumeward replay`: a log takes the place of the vehicle. `--verify` compares the services' answers with
-the recorded ones.
+"""`plumeward replay`: a log takes the place of the vehicle.
+
+`--verify` compares the services' answers with the recorded ones.
 """
 
 import argparse

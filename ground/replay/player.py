@@ -38,8 +38,9 @@ class Replayed(NamedTuple):
 def replay(
     source: Source, rules: Rules | None, speedup: float, connect: str | None, secure: Path | None = None
 ) -> Replayed:
-    """Replay once. Every process started for it has ended when this returns or raises. Raises
-    MissionFailed.
+    """Replay once.
+
+    Every process started for it has ended when this returns or raises. Raises MissionFailed.
     """
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
@@ -153,8 +154,9 @@ class Player:
         self._resending.tried(self._published_at)
 
     def _wait_for_answers(self) -> float:
-        """Wait for all answers due; returns the time it took, s. A missing answer is a difference or a
-        warning.
+        """Wait for all answers due; returns the time it took, s.
+
+        A missing answer is a difference or a warning.
         """
         began = time.monotonic()
         self._listen(began + self._patience_s, for_answers=True)

@@ -56,8 +56,9 @@ LONGEST = 80  # characters of a word that are quoted
 
 
 def words(service: str, recorded: list[str]) -> list[str]:
-    """Return the flags for a service of today from its recorded ones. Raises ValueError with the one that
-    a record may not give.
+    """Return the flags for a service of today from its recorded ones.
+
+    Raises ValueError with the one that a record may not give.
     """
     given: dict[str, Any] = {}
     for flag, value in _pairs(recorded):
@@ -80,8 +81,9 @@ def flew_a_bundle(recorded: list[str]) -> bool:
 
 
 def with_bundle(recorded: list[str], bundle: str) -> list[str]:
-    """Return an agent's flags with the file that the user names in place of the recorded one. Raises
-    ValueError as `words` does.
+    """Return an agent's flags with the file that the user names in place of the recorded one.
+
+    Raises ValueError as `words` does.
     """
     return [
         *words("agent", [word for pair in _pairs(recorded) if pair[0] != "--policy" for word in pair]),

@@ -1,5 +1,6 @@
-"""Compares the answers of estimator and agent with the recorded ones, field by field. It decodes their
-bytes without their code.
+"""Compares the answers of estimator and agent with the recorded ones, field by field.
+
+It decodes their bytes without their code.
 """
 
 import math
@@ -134,8 +135,9 @@ def said(entries: Iterable[Entry]) -> dict[tuple[int, str], Answer]:
 
 
 def ignored(names: Sequence[str], then: Iterable[Answer] = ()) -> frozenset[str]:
-    """Parse the values of --ignore; raises ValueError that says what is allowed. Fields that only the log
-    has can be ignored too.
+    """Parse the values of --ignore; raises ValueError that says what is allowed.
+
+    Fields that only the log has can be ignored too.
     """
     fields = {kind: list(known) for kind, known in FIELDS.items()}
     for answer in then:

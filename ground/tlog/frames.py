@@ -111,8 +111,9 @@ def log_clock(logged_us: Integers) -> LogClock:
 
 
 def _next(data: bytes, at: int, refused: dict[int, int]) -> tuple[int, Frame] | None:
-    """Return the next real frame from offset `at` on, and where it begins. A record that starts exactly there
-    is tried first.
+    """Return the next real frame from offset `at` on, and where it begins.
+
+    A record that starts exactly there is tried first.
     """
     for start in itertools.chain((at + STAMP,), (match.start() for match in MARKER.finditer(data, at))):
         frame = frame_at(data, start)

@@ -162,8 +162,9 @@ def _track(
     place: Callable[[Message], NorthEastUp | None],
     foreign: Sequence[int] = (),
 ) -> Track:
-    """Return the fixes of one message. A GPS_RAW_INT (24) may carry any clock's time, so its log time is
-    used.
+    """Return the fixes of one message.
+
+    A GPS_RAW_INT (24) may carry any clock's time, so its log time is used.
     """
     records = np.setdiff1d(log.select(autopilot.system, (message_id,), autopilot.component), foreign)
     fixes = [

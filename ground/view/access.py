@@ -56,8 +56,9 @@ class AccessRules(NamedTuple):
         return self._is_own(host) or any(host.lower() == known.partition("://")[2] for known in self.origins)
 
     def _is_own(self, host: str) -> bool:
-        """Whether a Host header is this server's. Bound to all addresses, any address is: rebinding needs a
-        name.
+        """Whether a Host header is this server's.
+
+        Bound to all addresses, any address is: rebinding needs a name.
         """
         match = re.fullmatch(r"(?:\[(.*)\]|(.*?))(?::([0-9]{1,5}))?", host.lower())
         if match is None or int(match[3] or 80) != self.port:
@@ -117,8 +118,9 @@ def origin(text: str) -> str:
 
 
 def word_in(path: Path) -> tuple[str, str]:
-    """Return the word in a file, and a line for people or "". If there is no file, makes it, with a new
-    word. Raises ValueError.
+    """Return the word in a file, and a line for people or "".
+
+    If there is no file, makes it, with a new word. Raises ValueError.
     """
     try:
         with open(path, "x", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:
@@ -146,8 +148,9 @@ def word_of(offered: Iterable[str]) -> str:
 
 
 class Doorkeeper:
-    """Checks the words of clients. After a wrong word an address is ignored for a while: guessing takes
-    long, and locks nobody else out.
+    """Checks the words of clients.
+
+    After a wrong word an address is ignored for a while: guessing takes long, and locks nobody else out.
     """
 
     def __init__(self, rules: AccessRules) -> None:

@@ -103,8 +103,9 @@ def _to_us(system: int, component: int) -> bool:
 
 
 async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
-    """Send a command to a vehicle until it is done, and return its answer. Once this is cancelled, nothing
-    more is sent.
+    """Send a command to a vehicle until it is done, and return its answer.
+
+    Once this is cancelled, nothing more is sent.
     """
     if not vehicle.here:
         return CommandAnswer(False, f"{vehicle.name} is not there")

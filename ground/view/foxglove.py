@@ -57,8 +57,9 @@ class ViewerRequest(msgspec.Struct, rename="camel"):
 
 
 class LiveFoxglove:
-    """Streams the scenes of vehicles to every viewer that connects. Viewers can only look: the server
-    takes no commands.
+    """Streams the scenes of vehicles to every viewer that connects.
+
+    Viewers can only look: the server takes no commands.
 
     The first vehicle has the topics and frames of a record; those of others begin with their names:
     `uav/2/scene/path`.

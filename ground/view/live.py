@@ -1,5 +1,6 @@
-"""Vehicles on a router, followed as they appear and go. One thread talks to the bus; scenes may be asked
-for from any other.
+"""Vehicles on a router, followed as they appear and go.
+
+One thread talks to the bus; scenes may be asked for from any other.
 
 The bus's thread only takes messages. Whoever asks first for a new version of a scene builds it, and all
 others get the same one.
@@ -81,8 +82,9 @@ class Roster(Bus):
             self._changes.append(Presence(namespace[:-1], service, sample.kind == zenoh.SampleKind.PUT))
 
     def changes(self) -> list[Presence]:
-        """Return what has changed since the last call; at first, all that are there. A lost router takes
-        all of them with it.
+        """Return what has changed since the last call; at first, all that are there.
+
+        A lost router takes all of them with it.
         """
         self._names.tell(self.log)
         self.keep_link()
@@ -291,8 +293,9 @@ class LiveFleet:
                 self._changed()
 
     def _lack(self) -> str:
-        """Return what is wrong with our certificate now: it may have expired since we joined. Empty if
-        nothing is.
+        """Return what is wrong with our certificate now: it may have expired since we joined.
+
+        Empty if nothing is.
         """
         try:
             secured("--connect", self._router, self._secure, "view", None)

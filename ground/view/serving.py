@@ -146,8 +146,9 @@ class PageSocket(WebSocketsSansIOProtocol):
 
 
 def server_of(app: Asgi, longest_message: int, *, proxied: bool) -> uvicorn.Server:
-    """Return a server of an app that leaves signals and logs to its caller. Messages of clients are limited
-    in bytes.
+    """Return a server of an app that leaves signals and logs to its caller.
+
+    Messages of clients are limited in bytes.
 
     proxied: whether a proxy of this machine may say, by X-Forwarded-For, from where a client comes.
     """

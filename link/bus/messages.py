@@ -112,8 +112,9 @@ class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The status of a service. The liveliness token on the same key shows that its process runs, not that
-    a vehicle is alive.
+    """The status of a service.
+
+    The liveliness token on the same key shows that its process runs, not that a vehicle is alive.
     """
 
     service: str

@@ -49,8 +49,9 @@ class AreaFrame:
         return None if self._origin or self._autopilot == ARDUPILOT else (0.0, 0.0, 0.0)
 
     def take(self, message_id: int, fields: dict[str, Any]) -> bool:
-        """Take one of the `PLACING` messages of the vehicle's autopilot. Returns whether the corner has
-        moved.
+        """Take one of the `PLACING` messages of the vehicle's autopilot.
+
+        Returns whether the corner has moved.
         """
         before = self.corner
         if message_id == HEARTBEAT:

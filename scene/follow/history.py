@@ -51,8 +51,9 @@ class _Packed(NamedTuple):
 
 
 class History:
-    """What was said on the bus of one vehicle. A message that breaks the contract is left out: the
-    services count and refuse it.
+    """What was said on the bus of one vehicle.
+
+    A message that breaks the contract is left out: the services count and refuse it.
     """
 
     def __init__(
@@ -108,8 +109,9 @@ class History:
             self.craft = replace(self.craft, position=NOWHERE)
 
     def _begin_again(self, time_s: float) -> None:
-        """Follow the next mission of a vehicle that was started again. Services stay; happenings, too,
-        where no one goes back in time.
+        """Follow the next mission of a vehicle that was started again.
+
+        Services stay; happenings, too, where no one goes back in time.
         """
         self._begin()
         self.time_s = time_s
@@ -124,8 +126,9 @@ class History:
     # ---- taking ----
 
     def take(self, key: str, payload: bytes, attachment: bytes, time_s: float, wall_s: float) -> bool:
-        """Take a message, published at a simulation time and at a time by the clock, s. Returns whether it
-        changes the scene.
+        """Take a message, published at a simulation time and at a time by the clock, s.
+
+        Returns whether it changes the scene.
         """
         self.time_s, self.wall_s = max(self.time_s, time_s), max(self.wall_s, wall_s)
         self._walls.add(time_s, wall_s)
@@ -245,8 +248,9 @@ class History:
         return self._waypoints.at()
 
     def at(self, time_s: float = math.inf, wall_s: float | None = None) -> Scene:
-        """Return the scene at a simulation time, by default the newest. `wall_s` is now by the clock, for
-        judging silent parts.
+        """Return the scene at a simulation time, by default the newest.
+
+        `wall_s` is now by the clock, for judging silent parts.
         """
         wall = (self._walls.at(time_s) or self.wall_s) if wall_s is None else wall_s
         now_s, measurements = min(time_s, self.time_s), self.measurements.until(time_s)

@@ -17,8 +17,9 @@ MOST_PARTS = 64  # parts that are followed; health messages of more are left out
 
 
 def verdict(alive: bool, health: Health | None, silent_s: float) -> str:
-    """Return the verdict on a part: ok, missing, starting, stale or refusing. `silent_s` is the time since
-    it spoke or appeared.
+    """Return the verdict on a part: ok, missing, starting, stale or refusing.
+
+    `silent_s` is the time since it spoke or appeared.
     """
     if not alive:
         return MISSING

@@ -35,8 +35,9 @@ FIXES = (
 def frames(
     payload: bytes, wanted: set[int], counts: Callable[[Frame], bool] = lambda _: True
 ) -> Iterator[tuple[Frame, dict[str, Any]]]:
-    """Yield the wanted frames that count, with their fields. Raises BadFrame if the payload is not made of
-    whole, valid frames.
+    """Yield the wanted frames that count, with their fields.
+
+    Raises BadFrame if the payload is not made of whole, valid frames.
     """
     for frame in split(payload):
         if frame.message_id in wanted and counts(frame):

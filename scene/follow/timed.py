@@ -47,8 +47,9 @@ class Timed(Generic[T]):
 
 
 class Trail:
-    """Where the vehicle was, in order of time. What was once taken stays as it is, so that no scene needs
-    a copy of it.
+    """Where the vehicle was, in order of time.
+
+    What was once taken stays as it is, so that no scene needs a copy of it.
     """
 
     def __init__(self, whole: bool) -> None:

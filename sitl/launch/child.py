@@ -90,8 +90,9 @@ def environment() -> dict[str, str]:
 
 
 class Child:
-    """One part as a process. It leads a process group: its children end with it, and a terminal's Ctrl-C
-    reaches only the launcher.
+    """One part as a process.
+
+    It leads a process group: its children end with it, and a terminal's Ctrl-C reaches only the launcher.
     """
 
     def __init__(self, part: str, kind: PartKind, words: tuple[str, ...], inbox: Inbox) -> None:
@@ -118,8 +119,9 @@ class Child:
         self._thread.start()
 
     def readline(self) -> str:
-        """Wait for the answer of a part that answers; empty if it ends without one. Raises MissionFailed
-        if it hangs.
+        """Wait for the answer of a part that answers; empty if it ends without one.
+
+        Raises MissionFailed if it hangs.
         """
         began, told = time.monotonic(), False
         while True:
@@ -138,8 +140,9 @@ class Child:
         self._process.send_signal(number)  # does nothing if it has ended
 
     def tell_stacks(self) -> None:
-        """Ask it, which hangs, to write where its threads are. They are shown at once; of one that is
-        stopped once it continues.
+        """Ask it, which hangs, to write where its threads are.
+
+        They are shown at once; of one that is stopped once it continues.
         """
         ask_for_stacks(self._process.pid)
 

@@ -1,5 +1,6 @@
-"""What a script does to processes and links: kills, restarts, cuts. Delays are real time: the speed-up
-does not apply to processes.
+"""What a script does to processes and links: kills, restarts, cuts.
+
+Delays are real time: the speed-up does not apply to processes.
 """
 
 import time

@@ -18,8 +18,9 @@ SAY_AFTER_S = 1.0
 
 
 def check_connect(script: Script, given: Collection[str]) -> None:
-    """Raise BadInput if a script cannot be flown with services that run elsewhere. `given`: fields set by
-    flags, such as agent.policy.
+    """Raise BadInput if a script cannot be flown with services that run elsewhere.
+
+    `given`: fields set by flags, such as agent.policy.
     """
     for part, usual in USUAL.items():
         chosen = getattr(script, part)

@@ -108,8 +108,9 @@ def start_parts(
     page: MissionPage | None = None,
     say: Callable[[str], None] = print,
 ) -> str:
-    """Start all parts that do not run elsewhere; returns the router's endpoint. Links that the script cuts
-    get a relay.
+    """Start all parts that do not run elsewhere; returns the router's endpoint.
+
+    Links that the script cuts get a relay.
 
     Raises MissionFailed if the router or the recorder cannot start.
     """
@@ -324,8 +325,9 @@ class MissionWatch:
     # ---- what follows it ----
 
     def _await_landing(self, last: Belief) -> None:
-        """Wait until the vehicle has done what comes after the search. A stop sends it on its way; else it
-        is commanded each second.
+        """Wait until the vehicle has done what comes after the search.
+
+        A stop sends it on its way; else it is commanded each second.
         """
         heard, expected = self._heard, self._script.expectations
         home, after = "returned home" in expected, self._script.vehicle.after_stop

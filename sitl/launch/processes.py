@@ -61,8 +61,9 @@ class Processes:
         return child
 
     def start_router(self, listen: str, secure: Path | None = None) -> str:
-        """Start a router; returns its endpoint, which a restart uses again. Raises MissionFailed if it
-        cannot listen.
+        """Start a router; returns its endpoint, which a restart uses again.
+
+        Raises MissionFailed if it cannot listen.
         """
         words = ("sitl", "router", *secure_words(secure), "--listen")
         endpoint = self.answer(self.start(ROUTER, *words, listen))

@@ -46,8 +46,9 @@ class Progress:
         self._console.print(broken(text, width), markup=False, soft_wrap=True)
 
     def wait(self, reason: str) -> None:
-        """Show what is waited for. Called again and again: without a live line it is printed once, if it
-        lasts.
+        """Show what is waited for.
+
+        Called again and again: without a live line it is printed once, if it lasts.
         """
         if reason != self._reason:
             self._reason, self._waiting_since, self._said = reason, time.monotonic(), False

@@ -21,8 +21,9 @@ class RecordFiles:
         self.made = False  # whether the recorder has made the files
 
     def prepare(self, force: bool) -> None:
-        """Raise BadInput if the files cannot be written. With `force`, new files are first written beside
-        older ones.
+        """Raise BadInput if the files cannot be written.
+
+        With `force`, new files are first written beside older ones.
         """
         wanted = both(self._wanted)
         if reason := cli.existing("--record", wanted, force):

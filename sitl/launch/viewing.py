@@ -37,8 +37,9 @@ class MissionPage:
             say(f"page at {self._address}")
 
     def over(self, processes: Processes) -> None:
-        """Tell it that the mission is over, and keep it from ending with the other parts. A page that was
-        never served ends with them.
+        """Tell it that the mission is over, and keep it from ending with the other parts.
+
+        A page that was never served ends with them.
         """
         if self._child and self._address:
             processes.release(PAGE)

@@ -1,5 +1,6 @@
-"""Notices which part of a mission has been silent for too long. It has no clock: callers pass the time, s,
-and who was heard.
+"""Notices which part of a mission has been silent for too long.
+
+It has no clock: callers pass the time, s, and who was heard.
 """
 
 from collections.abc import Callable, Iterable
@@ -74,8 +75,9 @@ class Watchdog:
             known.since_s, known.told = now_s, False
 
     def look(self, now_s: float, connected: bool) -> str:
-        """Report silent parts; returns why the mission cannot go on, or an empty text. `connected`: the
-        router is there.
+        """Report silent parts; returns why the mission cannot go on, or an empty text.
+
+        `connected`: the router is there.
         """
         held_up_s = max(now_s - self._looked_s - 2 * LOOK_S, 0.0)
         self._looked_s = now_s

@@ -257,8 +257,9 @@ def shipped() -> dict[str, Path]:
 
 
 def find(mission: str | Path) -> Path:
-    """Return the path of a mission: a file of this name, else the shipped mission of this name. Raises
-    FileError if there is neither.
+    """Return the path of a mission: a file of this name, else the shipped mission of this name.
+
+    Raises FileError if there is neither.
     """
     missions, name = shipped(), str(mission).removesuffix(".yaml")
     if not os.path.isfile(mission) and name in missions:
@@ -277,8 +278,9 @@ def find(mission: str | Path) -> Path:
 
 
 def load(mission: str | Path) -> Script:
-    """Read a mission script, or a shipped one by its name. Raises FileError with file, line, field and
-    what is allowed, in one line.
+    """Read a mission script, or a shipped one by its name.
+
+    Raises FileError with file, line, field and what is allowed, in one line.
     """
     document = Document(find(mission))
     if old := _renamed(document.value):

@@ -198,8 +198,9 @@ def simulated_uav(vehicle: Vehicle, orders: Orders, equipment: Equipment) -> Uav
 
 
 class Asked:
-    """Handles what clients ask. Anyone's change of mode takes the vehicle from the search; OFFBOARD gives
-    it back.
+    """Handles what clients ask.
+
+    Anyone's change of mode takes the vehicle from the search; OFFBOARD gives it back.
     """
 
     def __init__(

@@ -12,8 +12,9 @@ KINDS: dict[type[nn.Module], str] = {nn.ReLU: "Relu", nn.Tanh: "Tanh"}
 
 
 def graph(layers: Sequence[nn.Module]) -> bytes:
-    """Return linear layers and their activations as an ONNX graph (1, F) -> (1, A). Raises TypeError on
-    another kind of layer.
+    """Return linear layers and their activations as an ONNX graph (1, F) -> (1, A).
+
+    Raises TypeError on another kind of layer.
     """
     nodes, weights = [], []
     linear = [layer for layer in layers if isinstance(layer, nn.Linear)]

@@ -15,8 +15,9 @@ from estimator.criterion import Criterion
 
 
 def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
-    """Fly `scenarios` test missions with each number of particles and print the figures. A bundle that has
-    figures keeps them.
+    """Fly `scenarios` test missions with each number of particles and print the figures.
+
+    A bundle that has figures keeps them.
 
     The estimator assumes what it assumed in training, and stops by the same `stop` if the recipe has one,
     else by the usual spread.

@@ -75,8 +75,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def write(results: Results, out: Path, flights: int) -> None:
-    """Write pictures, tables and the page to a folder. Two of the pictures show `flights` missions, which
-    are flown here.
+    """Write pictures, tables and the page to a folder.
+
+    Two of the pictures show `flights` missions, which are flown here.
     """
     import matplotlib  # not at the top: it takes long to import
 
