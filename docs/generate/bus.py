@@ -3,6 +3,7 @@
 `make docs` calls it.
 """
 
+from inspect import cleandoc
 from typing import Any
 
 import msgspec
@@ -196,7 +197,7 @@ def _message(kind: type) -> str:
     lines = [
         f"### {kind.__name__}",
         "",
-        schema["description"],
+        cleandoc(schema["description"]),
         "",
         "| field | type | meaning |",
         "|---|---|---|",
