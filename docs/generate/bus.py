@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from link.access.roles import EVERYBODY, MOST_VEHICLES, OF_ALL_VEHICLES, SERVICES
+from link.access.roles import MOST_VEHICLES, OF_ALL_VEHICLES, SERVICES
 from link.bus.inbox import MOST_OTHERS, WAITING_BYTES, WAITING_MESSAGES
 from link.bus.keys import BELIEF, KEYS, Key
 from link.bus.opening import DEFAULT_ROUTER
@@ -20,11 +20,14 @@ you can replace vehicle, estimator or agent by a program of your own, in any lan
 
 ## Joining
 
-Connect to a router as a Zenoh 1.x **client**, with multicast scouting off. The default endpoint is `{DEFAULT_ROUTER}`; a mission prints
-its own. A router relays clients, not peers. Every key below lies in the vehicle's namespace, `uav/<id>`: the belief of vehicle 1
-is on `uav/1/belief`. Set `namespace` in the Zenoh configuration, or write the full keys.
+Connect to a router as a Zenoh 1.x **client**, with multicast scouting off: a router relays clients, not peers. The default endpoint is
+`{DEFAULT_ROUTER}`; a mission prints its own. Every key below lies in the vehicle's namespace, `uav/<id>`: the belief of vehicle 1 is
+on `uav/1/belief`. Set `namespace` in the Zenoh configuration, or write the full keys.
 
 ## Keys
+
+Unless the last column says otherwise, a key is reliable, its publisher waits under congestion, its messages travel express with priority
+*data* and have at most 1 MiB, and none is kept for late joiners.
 """
 
 MIB = WAITING_BYTES // 2**20
@@ -34,7 +37,7 @@ RULES = f"""
 Frames are MAVLink 2, dialect `common`, in the same bytes as on a serial line. A payload may hold several frames. The vehicle is system
 `<id>`, component 1 (autopilot); the agent is system `<id>`, component 191 (onboard computer). `target_system` is the vehicle's id or 0.
 
-A **reading** is one payload with three frames of the same time:
+A **reading** is one payload with three frames of the same time and the vehicle's system id. The estimator refuses readings of another system.
 
 | message | fields that are read |
 |---|---|
@@ -42,14 +45,12 @@ A **reading** is one payload with three frames of the same time:
 | WIND_COV (231) | `time_usec` = 1000 · `time_boot_ms`; `wind_x` = north, `wind_y` = east: velocity of the air, m/s |
 | NAMED_VALUE_FLOAT (251) | `time_boot_ms`; `name` = `gas`; `value` in g/m³, or a count of hits |
 
-The frames of a reading carry the vehicle's system id. The estimator refuses readings of another system.
-
 A **waypoint** is one SET_POSITION_TARGET_LOCAL_NED (84) in MAV_FRAME_LOCAL_NED that sets `x`, `y`, `z`. Its `time_boot_ms` is that of the
-reading it answers. It counts only on the key `waypoint`, which takes nothing else. On `mavlink/in` or over UDP the same frame is the
-setpoint of a client that wants to fly the vehicle itself: it answers no reading, and is refused while the search leads.
+reading it answers. On `mavlink/in` or over UDP the same frame is the setpoint of a client that wants to fly the vehicle itself: it answers no
+reading, and is refused while the search leads.
 
-Commands go to `mavlink/in`. The vehicle answers them (COMMAND_LONG, COMMAND_INT) with COMMAND_ACK on `mavlink/out`; if it refuses one, it
-also sends a STATUSTEXT.
+**Commands** go to `mavlink/in`. The vehicle answers COMMAND_LONG and COMMAND_INT with COMMAND_ACK on `mavlink/out`, and a refused one also with
+a STATUSTEXT.
 
 The search plane has x east and y north: (x, y) = (NED y, NED x). Its wind vector points to where the wind comes **from**:
 (u cos φ, u sin φ) = (−`wind_y`, −`wind_x`).
@@ -63,26 +64,27 @@ The search plane has x east and y north: (x, y) = (NED y, NED x). Its wind vecto
 3. The agent answers each belief that has not ceased with one waypoint of the same `time_boot_ms`.
 4. While a reading is unanswered, the vehicle publishes it again: first after 0.25 s, then at doubled intervals up to 2 s. A service that
    receives a message again repeats its answer. This recovers any lost message. Answers to older readings and second answers are ignored.
-5. The search begins when the liveliness tokens `health/estimator` and `health/agent` exist: the vehicle arms, takes off, flies to
-   its start and takes the first reading. Without waypoints it holds position; after its silence time it returns home and lands. After the
-   stop it does what `--after-stop` says.
+5. The search begins when the liveliness tokens `health/estimator` and `health/agent` exist: the vehicle arms, takes off, flies to its start and
+   takes the first reading. Without waypoints it holds; after its silence time it returns home and
+   lands. After the stop it does what `--after-stop` says.
 
-A real autopilot has no gas sensor. Its vehicle asks the payload on `payload/in`, and takes off once `health/payload` is there, too. It asks
-again while it has no answer, at the intervals of step 4. The payload repeats its answer to the same question. A new question replaces the
-one before, whose answer no longer counts. After NaN the vehicle asks anew, with a later `time_boot_ms` and the same `sample`.
+A real autopilot has no gas sensor. Its vehicle asks the payload on `payload/in`, and takes off once `health/payload` is there, too. It asks again
+at the intervals of step 4. The payload repeats its answer to the same question; a new question replaces the one before. After NaN the vehicle
+asks anew, with a later `time_boot_ms` and the same `sample`.
 
 ## Late joiners
 
-Keys with a *kept* count are published with Zenoh's advanced publisher (`zenoh.ext`, cache, publisher detection, sample-miss
-detection by heartbeat). An advanced subscriber with history and recovery receives the kept messages first, in order; a plain
-subscriber receives only what is published from then on. Let the cache reply with congestion control BLOCK, and leave late-publisher
-detection off: with zenoh 1.10.2, the default reply or the detection loses kept messages when one joins a busy publisher. Even then some
-history can be missing. Check the source sequence number of the samples, which counts from 0: if one is missing, subscribe again and
-drop duplicates. The last {BELIEF.delivery.recovered} beliefs are kept for who finds a gap after its link was down; ask for a history of one
-(`max_samples`) to join with the newest alone. An estimator that starts late, or again, rebuilds its belief from the kept readings.
+What is *kept* is published with Zenoh's advanced publisher (`zenoh.ext`, cache, publisher detection, sample-miss detection by heartbeat). An
+advanced subscriber with history and recovery receives it first, in order; a plain one receives only what is published from then on.
 
-Hear `health/*` with a plain subscriber, and ask for what is kept once, on `health/*/@adv/**`. An advanced one orders the messages of all
-keys together by what each says of its source: a part that names another's would make you deaf to that one.
+- The cache has to reply with congestion control BLOCK, and late-publisher detection stays off: with zenoh 1.10.2 either loses kept messages
+  when one joins a busy publisher.
+- Even then some history can be missing. The samples' source sequence numbers count from 0: if one is missing, subscribe again and drop
+  duplicates. An estimator that starts late, or again, rebuilds its belief from the kept readings.
+- The last {BELIEF.delivery.recovered} beliefs are kept for those who find a gap after their link was down. Ask for a history of one
+  (`max_samples`) to join with the newest alone.
+- Hear `health/*` with a plain subscriber, and ask once for what is kept, on `health/*/@adv/**`. An advanced one orders the messages of all keys
+  together by what each says of its source: a part that names another's would make you deaf to that one.
 
 ## Floats
 
@@ -91,9 +93,8 @@ decimals that read back as the same double.
 
 ## Refused messages
 
-A refused message is dropped. It never stops a service and never changes the belief. It is counted in `health` under its kind, and logged
-with key and reason (`overflow`: once per burst; `fault`: once for each type of message; `stranger`: once). A reading that overflowed is
-fetched again from the kept ones.
+A refused message is dropped. It never stops a service and never changes the belief. `health` counts it by kind. The log names key and reason
+(`overflow`: once per burst; `fault`: once for each type of message; `stranger`: once). A reading that overflowed is fetched again.
 
 | kind | refused message |
 |---|---|
@@ -112,16 +113,28 @@ fetched again from the kept ones.
 
 ## Health
 
-A service declares the liveliness token `health/<service>` when it joins: the token shows that its process is running. It publishes its
-health on the same key when it is ready, after each step, and at least once a second. Its `service` is that of the key. A service that is
-silent for five seconds hangs, or its link is cut; `plumeward status` reports it.
+A service declares the liveliness token `health/<service>` when it joins. It publishes its health on the same key when it is ready, after each step,
+and at least once a second. `service` is that of the key. A service that is silent for five seconds hangs, or its link is cut.
 
 ## Messages
 """
 
 
-def _yes(value: bool) -> str:
-    return "yes" if value else "no"
+def _delivery(key: Key) -> str:
+    """Return how a key differs from what the page says of all."""
+    how = key.delivery
+    return ", ".join(
+        words
+        for words, differs in (
+            ("not reliable", not how.reliable),
+            ("dropped under congestion", not how.blocking),
+            ("priority *real time*", how.realtime),
+            ("not express", not how.express),
+            (f"{how.kept:,} kept", how.kept > 0),
+            (f"at most {key.most_mib} MiB", key.most_mib != 1),
+        )
+        if differs
+    )
 
 
 def _payload(key: Key) -> str:
@@ -132,41 +145,34 @@ def _payload(key: Key) -> str:
     )
 
 
-def _key_tables() -> str:
-    lines = ["| key | payload | from → to | rate |", "|---|---|---|---|"]
+def _key_table() -> str:
+    lines = ["| key | payload | from → to | rate | delivery |", "|---|---|---|---|---|"]
     lines += [
-        f"| `{key.name}` | {_payload(key)} | {key.source} → {key.target} | {key.rate} |" for key in KEYS
+        f"| `{key.name}` | {_payload(key)} | {key.source} → {key.target} | {key.rate} | {_delivery(key)} |"
+        for key in KEYS
     ]
-    lines += [
-        "",
-        "| key | reliable | under congestion | priority | express | kept | at most |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for key in KEYS:
-        how = key.delivery
-        waits, priority = (
-            "publisher waits" if how.blocking else "dropped",
-            "real time" if how.realtime else "data",
-        )
-        cells = _yes(how.reliable), waits, priority, _yes(how.express), how.kept or "", f"{key.most_mib} MiB"
-        lines.append(f"| `{key.name}` | {' | '.join(map(str, cells))} |")
     lines += ["", *(f"- `{key.name}`: {key.meaning}" for key in KEYS)]
     return "\n".join(lines)
+
+
+def _others() -> str:
+    """Return the roles whose services have other names than theirs."""
+    return "".join(
+        f"; `{role}`: {', '.join(services)}" for role, services in SERVICES.items() if services != (role,)
+    )
 
 
 ACCESS = f"""
 ## Access
 
-With `--secure DIR` the router speaks mutual TLS on `tls/` endpoints, and admits each client by the common name of its certificate:
-`uav/<id>/<role>`, with an id from 1 to {MOST_VEHICLES}, or one of {" and ".join(f"`{role}`" for role in OF_ALL_VEHICLES)}, who are of all
-vehicles. Everything that this table does not allow is dropped. See [security](security.md).
+With `--secure DIR` the router speaks mutual TLS on `tls/` endpoints, and admits each client by the common name of its certificate. That is
+`uav/<id>/<role>`, with an id from 1 to {MOST_VEHICLES}, or {" or ".join(f"`{role}`" for role in OF_ALL_VEHICLES)}, a role of all vehicles.
+A role says the health of the services of its name{_others()}. All that this table does not allow is dropped. See [security](security.md).
 """
 
 
-def _access_tables() -> str:
-    lines = ["| role | services |", "|---|---|"]
-    lines += [f"| {role} | {', '.join(SERVICES[role])} |" for role in EVERYBODY]
-    lines += ["", "| key | may publish | may receive |", "|---|---|---|"]
+def _access_table() -> str:
+    lines = ["| key | may publish | may receive |", "|---|---|---|"]
     for key in KEYS:
         if "<service>" in key.name:
             lines.append(f"| `{key.name}` | each role its own services | all |")
@@ -184,8 +190,10 @@ def _type(schema: dict[str, Any]) -> str:
         return f"object of {_type(schema['additionalProperties'])}"
     if schema.get("items"):
         return f"array of {_type(schema['items'])}"
+    if "minimum" in schema and "maximum" in schema:
+        return f"{schema['type']} from {schema['minimum']:,} to {schema['maximum']:,}"
     limits = [
-        f"{sign} {schema[name]:g}"
+        f"{sign} {schema[name]:,}"
         for name, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"))
         if name in schema
     ]
@@ -212,14 +220,14 @@ def _message(kind: type) -> str:
 ATTACHMENT = """
 The **attachment** of a belief is the particle array: N rows of little-endian float32. A row holds one value for each of `unknowns`, then
 the weight. If only x and y are unknown, that is (x m, y m, weight) and 12 N bytes. The weights sum to one. Payload and attachment are one
-sample: they always belong to the same step.
-
-Frames that a bridge brings to `mavlink/out` and `mavlink/in` have the attachment `bridge`. Other bridges see by it that their sender is not
-itself on the bus.
+sample, so they belong to the same step.
 
 Unknowns of the measurement: `wind-direction` is what has to be added to the measured direction, degrees counter-clockwise; `wind-speed`
 is a factor, true by measured speed; `gain` is a factor, reading by concentration; `noise` is a factor on the noise of `sensor`; `cv` is the
 gas's intermittency, the coefficient of variation of the concentration around the plume's mean.
+
+Frames that a bridge brings to `mavlink/out` and `mavlink/in` have the attachment `bridge`: it tells other bridges that their sender is not
+itself on the bus.
 """
 
 
@@ -229,11 +237,11 @@ def bus_document() -> str:
     return (
         HEAD
         + "\n"
-        + _key_tables()
+        + _key_table()
         + "\n"
         + ACCESS
         + "\n"
-        + _access_tables()
+        + _access_table()
         + "\n"
         + RULES
         + "\n"

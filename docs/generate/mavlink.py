@@ -17,16 +17,9 @@ from sitl.autopilot.parameters import PARAMETERS, REAL, Parameters
 from sitl.autopilot.plan import FLOWN, IGNORED
 from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.services import REFUSED, REFUSED_ONCE
-from sitl.autopilot.setpoint import GLOBAL, LOCAL
 from sitl.autopilot.telemetry import STREAMS
 from sitl.autopilot.vehicle import Vehicle
 
-SETPOINTS = {
-    LOCAL: "flown in OFFBOARD: a position, a velocity, a horizontal velocity at a height, or an "
-    "acceleration, in LOCAL_NED or BODY_NED",
-    GLOBAL: "the same with a global position, its altitude above the sea, above home or above the ground, "
-    "which is level",
-}
 FLIES = "arming, take-off, setpoints of position and velocity, landing"
 TRIED = (
     (
@@ -44,7 +37,7 @@ TRIED = (
         "1.8.75",
         "`arm`, `takeoff`, `guided`, `wp`, `fence`, `rally`, `param`, `log`, `ftp`, `long`, `signing`. Its "
         "`mode` fails with every "
-        "PX4 vehicle; `long DO_SET_MODE 1 4 5` returns, with the numbers of the table of modes",
+        "PX4 vehicle; `long DO_SET_MODE 1 4 5` returns, with the numbers of the modes",
     ),
     (
         "QGroundControl",
@@ -59,26 +52,22 @@ PAGE = """\
 # MAVLink
 
 What the built-in vehicle says to ground stations and companion computers. It behaves as a PX4 quadrotor. Every request gets data or a
-refusal: a COMMAND_ACK, an answer of the request's own kind, or a STATUSTEXT. This page is made from the tables of the code,
-in `sitl/autopilot/`.
+refusal: a COMMAND_ACK, an answer of the request's own kind, or a STATUSTEXT. The tables are those that the code runs by, in `sitl/autopilot/`.
 [Services](services.md#the-vehicle-and-its-mavlink) says how to connect, and who leads.
 
 ## Modes
 
-{modes}
-
-All other modes of PX4 are denied.
+By PX4's numbers, main and sub: {modes}. All other modes of PX4 are denied.
 
 ## Commands
 
-By COMMAND_LONG or COMMAND_INT; SET_MODE does the same as MAV_CMD_DO_SET_MODE. A refused command says why in a STATUSTEXT.
+By COMMAND_LONG or COMMAND_INT; SET_MODE does the same as MAV_CMD_DO_SET_MODE. A refused command says why in a STATUSTEXT. All others, those of
+cameras, gimbals, storage and calibration among them, get MAV_RESULT_UNSUPPORTED.
 
 {commands}
 
-Take-off may come before arming, as QGroundControl's slider sends it: the vehicle waits in mode Takeoff and takes off when it is armed.
-If that does not happen within COM_DISARM_PRFLT, it goes back to Hold.
-
-All others, those of cameras, gimbals, storage and calibration among them, get MAV_RESULT_UNSUPPORTED.
+Take-off may come before arming, as from QGroundControl's slider: the vehicle waits in mode Takeoff until it is armed, for COM_DISARM_PRFLT at
+most, then goes back to Hold.
 
 ## Messages
 
@@ -86,8 +75,8 @@ Sent at this rate on each link, or on request. MAV_CMD_SET_MESSAGE_INTERVAL sets
 
 {streams}
 
-PX4's onboard link streams ATTITUDE_QUATERNION and HIGHRES_IMU at 50 Hz and ODOMETRY at 30 Hz. Here they come on request, because the three
-would more than double what a mission records. SYSTEM_TIME has no date, and HIGHRES_IMU no compass and no pressure: they are not simulated.
+PX4's onboard link streams ATTITUDE_QUATERNION and HIGHRES_IMU at 50 Hz and ODOMETRY at 30 Hz. Here they come on request: the three would more
+than double what a mission records.
 
 ## Requests that are answered
 
@@ -95,32 +84,30 @@ would more than double what a mission records. SYSTEM_TIME has no date, and HIGH
 
 ## Setpoints
 
-{setpoints}
+SET_POSITION_TARGET_LOCAL_NED is flown in OFFBOARD: a position, a velocity, a horizontal velocity at a height, or an acceleration, in LOCAL_NED or
+BODY_NED. SET_POSITION_TARGET_GLOBAL_INT is the same with a global position, its altitude above the sea, above home or above the ground, which is
+level.
 
-A setpoint is never acknowledged. A refused one gets a STATUSTEXT once a second for each kind of reason. Frames, type masks and NaN (a
-value that is ignored) are read as PX4 1.15 reads them, with these choices:
+A setpoint is never acknowledged. A refused one gets a STATUSTEXT once a second for each kind of reason. Frames, type masks and NaN (a value that is
+ignored) are read as PX4 1.15 reads them, with these choices:
 
-- A position is flown; a velocity or an acceleration beside it is feed-forward to PX4, and ignored here. So is an acceleration beside a
-  velocity.
-- A velocity is reached along a straight line in velocity space, at the acceleration limit. It is cut to the speed limits; its horizontal
-  part keeps its direction. Velocity 0 holds.
-- A velocity x, y with a position z flies at that height. Other mixtures, such as a position x, y with a velocity z, are refused.
+- Beside a position a velocity or an acceleration is ignored; to PX4 it is feed-forward. So is an acceleration beside a velocity.
+- A velocity is reached along a straight line in velocity space, at the acceleration limit. It is cut to the speed limits; its horizontal part keeps
+  its direction. Velocity 0 holds.
+- A velocity x, y with a position z flies at that height. Other mixtures are refused.
 - An acceleration acts until a speed limit is reached; then the vehicle cruises. Acceleration 0 keeps the velocity.
-- A velocity or an acceleration never leads out of the area, above the ceiling or into the ground: the vehicle brakes in time, comes to
-  rest on the edge and says so once. If the setpoint leads along the edge or back inside, it goes on from there. What touches the
-  ground has landed. A fence is no edge: to fly through it is a breach, as GF_ACTION says.
+- A velocity or an acceleration never leads out of the area, above the ceiling or into the ground: the vehicle brakes in time, comes to rest on the
+  edge and says so once. It goes on if the setpoint leads along the edge or back inside. What touches the ground has landed. A fence is no edge: to
+  fly through it is a breach, as GF_ACTION says.
 - BODY_NED turns velocities and accelerations by the yaw; PX4 turns accelerations by roll and pitch, too. It has no positions.
 - A yaw rate turns until told otherwise: by a setpoint without it, or another mode.
-- A setpoint answers no reading, whatever its time: the agent's answers have a [key of their own](bus.md#frames). Readings are taken at
-  positions only.
-- SET_ATTITUDE_TARGET is refused.
+- A setpoint answers no reading, whatever its time: the agent's answers have a [key of their own](bus.md#frames).
 - At speed-up 0 time jumps to the end of each way, so velocities and strict streams need a speed-up above 0.
 
-OFFBOARD needs a setpoint that is at most COM_OF_LOSS_T old, and returns home when none comes for so long: `--silence` (30) seconds of real
-time, which is kind to people who try things by hand. With `--strict` it is as in PX4, for those who test a companion: COM_OF_LOSS_T is 1 s
-of real time, and OFFBOARD and arming in it are refused unless setpoints come at 2 Hz or more. PX4's documentation asks for 2 Hz, its code
-(`offboardCheck.cpp`) for one within COM_OF_LOSS_T. The first setpoint of a stream is enough here, too. While the vehicle's own search
-leads, it counts as a companion that streams, since the agent answers only once a reading; its silence is borne for `--silence` seconds.
+OFFBOARD returns home when no setpoint comes for COM_OF_LOSS_T: `--silence` (30) seconds of real time, which is kind to people who try things by
+hand. With `--strict` it is as in PX4, for those who test a companion: COM_OF_LOSS_T is 1 s of real time, and OFFBOARD and arming in it are refused
+unless setpoints come at 2 Hz or more. The first setpoint of a stream is enough, as in PX4's code (`offboardCheck.cpp`). While the vehicle's own
+search leads, it counts as a companion that streams, and its silence is allowed for `--silence` seconds.
 
 ## Requests that are refused
 
@@ -128,18 +115,16 @@ leads, it counts as a companion that streams, since the agent answers only once 
 
 ## Missions, fences, rally points
 
-Uploads and downloads follow MAVLink's mission protocol, by MISSION_ITEM_INT, or MISSION_ITEM from old stations. Type 0 is the mission, 1
-the fence, 2 the rally points. They hold at most {limits} items. They live in memory: a vehicle that is started anew has forgotten them.
-An upload replaces the whole list once its last item is there. Until then, and if it fails, the old list stays. A missing item is asked for
-again after {retry:g} s, and after {action:g} s without an item the vehicle gives up, both in real time. While one client uploads,
-others get MAV_MISSION_ERROR. Downloads are answered to everyone at any time.
+Uploads and downloads follow MAVLink's mission protocol, by MISSION_ITEM_INT, or MISSION_ITEM from old stations. Type 0 is the mission, 1 the fence,
+2 the rally points. They hold at most {limits} items, in memory: a vehicle that is started anew has forgotten them. An upload replaces the whole list
+once its last item is there; until then, and if it fails, the old list stays. A missing item is asked for again after {retry:g} s, and after
+{action:g} s without an item the vehicle gives up, both in real time. While one client uploads, others get MAV_MISSION_ERROR. Downloads are answered
+to everyone at any time.
 
-A mission is checked when it is uploaded, item by item, and again when it starts. An item outside the area, the altitudes or the fence is
-refused with MAV_MISSION_INVALID_PARAM5_X or 7, and a STATUSTEXT says why.
+A mission is checked item by item when it is uploaded, and again when it starts. An item outside the area, the altitudes or the fence is refused with
+MAV_MISSION_INVALID_PARAM5_X or 7. Items other than these are refused with MAV_MISSION_UNSUPPORTED, MAV_CMD_DO_SET_HOME among them.
 
 {items}
-
-Of a mission flown in mission mode:
 
 - The vehicle comes to rest at each item. Without a yaw (NaN) the heading stays. From the ground it first climbs straight up, at least to
   MIS_TAKEOFF_ALT.
@@ -147,38 +132,35 @@ Of a mission flown in mission mode:
 - At the end it holds. The next start begins with the first item. A pause is HOLD, and a resume goes on with the current item.
 - A mission that is uploaded or cleared in flight replaces the one that is flown: the vehicle begins the new one, or holds.
 - Items for a camera or a gimbal are taken and passed over, as by a PX4 that has neither: {ignored}.
-- All other commands, MAV_CMD_DO_SET_HOME among them, are refused with MAV_MISSION_UNSUPPORTED.
 
-The fence consists of polygons and circles, inclusions (5001, 5003) and exclusions (5002, 5004). All have to be kept; their altitudes are
-ignored. Home must be inside, and the vehicle if it flies. Setpoints, go-to, take-off and mission items outside are refused. A straight
-way that leaves the fence, through an exclusion, is a breach at its exact time. GF_ACTION says what happens then. The vehicle stops as
-fast as it can, so it ends behind the edge. A vehicle that returns or lands already goes on. GF_ACTION 0 turns the fence off. PX4 does
-not send FENCE_STATUS; here it comes on request. MAV_CMD_DO_FENCE_ENABLE is unsupported, as in PX4.
+The fence consists of polygons and circles, inclusions (5001, 5003) and exclusions (5002, 5004). All have to be kept; their altitudes are ignored.
+Home must be inside, and the vehicle if it flies. Setpoints, go-to, take-off and mission items outside are refused. A straight way that leaves the
+fence, through an exclusion, is a breach at its exact time, and GF_ACTION says what happens then. The vehicle stops as fast as it can, so it ends
+behind the edge. A vehicle that returns or lands already goes on. FENCE_STATUS comes on request; PX4 does not send it. MAV_CMD_DO_FENCE_ENABLE is
+unsupported, as in PX4.
 
 Rally points (5100) lie inside area and fence. A return goes to the nearest of home and rally points, as PX4's RTL_TYPE 0, and lands there.
 
 ## Parameters
 
-A parameter acts as soon as it is set. A change of speed or acceleration acts from the next leg on, so it is safe in flight. Times are in
-simulation time. What is set lasts as long as the process. Integers are packed bytewise, as PX4 does.
+A parameter acts as soon as it is set, a speed or an acceleration from the next leg on, so it is safe in flight. Times are in simulation time. What
+is set lasts as long as the process. Integers are packed bytewise, as PX4 does. A value outside the range is refused: the old value comes back, and a
+STATUSTEXT names what is allowed.
 
 {parameters}
 
-A value outside the range is refused: the old value comes back, and a STATUSTEXT names what is allowed.
-
 ## Signing
 
-Without signing, whoever reaches a UDP port of the vehicle commands it, up to motors off in the air. `--sign KEYFILE` of `fly`, `uav` and
-`bridge` turns on [MAVLink 2 signing](https://mavlink.io/en/guide/message_signing.html): what is sent is signed, and what comes without a
-valid signature is refused.
+Without signing, whoever reaches a UDP port of the vehicle commands it, up to motors off in the air. `--sign KEYFILE` of `fly`, `uav` and `bridge`
+turns on [MAVLink 2 signing](https://mavlink.io/en/guide/message_signing.html): what is sent is signed, and what comes without a valid signature is
+refused.
 
 ```sh
 (umask 077; python -c 'import secrets; print(secrets.token_hex(32))' > fleet.key)
 plumeward uav --out udpin:127.0.0.1:14550 --sign fleet.key
 ```
 
-The key file holds one line. 64 hexadecimal digits are the key itself. Any other line is a passphrase, and the key is its SHA-256, as in
-other programs:
+The key file holds one line. 64 hexadecimal digits are the key itself. Any other line is a passphrase, and the key is its SHA-256, as elsewhere:
 
 | program | with a passphrase | with 64 digits |
 | --- | --- | --- |
@@ -187,9 +169,8 @@ other programs:
 | pymavlink | `connection.setup_signing(hashlib.sha256(b"PASSPHRASE").digest())` | `connection.setup_signing(bytes.fromhex("..."))` |
 | MAVSDK 4 | cannot sign | cannot sign |
 
-Where pymavlink speaks first (`udpout:`), it begins with MAVLink 1, which cannot be signed: set `MAVLINK20=1` in its environment. One
-recorded frame is enough to try passphrases at home, so take a long one. Make the file readable for yourself alone (`chmod 600`); if every
-user of the machine may read it, a warning says so.
+Where pymavlink speaks first (`udpout:`), set `MAVLINK20=1` in its environment: else it begins with MAVLink 1, which cannot be signed. One recorded
+frame is enough to try passphrases at home, so take a long one. Make the file readable for yourself alone (`chmod 600`); if not, a warning says so.
 
 | link | with `--sign` |
 | --- | --- |
@@ -198,8 +179,8 @@ user of the machine may read it, a warning says so.
 | serial lines of the bridge | not signed: they are taken for a safe cable |
 | the bus | not signed: access to it is a matter of TLS. A bridge that signs puts no signatures on it, so records hold none |
 
-An endpoint that cannot sign, such as a simulated autopilot on the same machine, belongs in a bridge of its own, without `--sign`. Such a
-bridge passes signed frames as they are: a station and an autopilot that share a key sign end to end.
+An endpoint that cannot sign, such as a simulated autopilot on the same machine, belongs in a bridge of its own, without `--sign`. Such a bridge
+passes signed frames as they are, so a station and an autopilot that share a key can sign end to end.
 
 | refused | is |
 | --- | --- |
@@ -208,27 +189,25 @@ bridge passes signed frames as they are: a station and an autopilot that share a
 | `with an old timestamp` | a frame that came before, or of a sender whose clock is more than a minute behind |
 | `with a timestamp more than 10 minutes ahead of this machine's clock` | a sender's clock is wrong, or this one's |
 
-Each sender is named once for each reason, up to 16 a link. All are counted, in `health`, by `plumeward status` and in the bridge's last
-lines. Only RADIO_STATUS is let through without a signature, as the standard has it: radios have no key. Its sender does not become a peer
-of `udpin`. SETUP_SIGNING (256) is never obeyed, signed or not, and no bridge passes it on: keys travel in files.
+Each sender is named once for each reason, up to 16 a link. All are counted, in `health`, by `plumeward status` and in the bridge's last lines. Only
+RADIO_STATUS passes without a signature, as the standard has it: radios have no key. Its sender does not become a peer of `udpin`. SETUP_SIGNING
+(256) is never obeyed, and no bridge passes it on: keys travel in files.
 
-Timestamps only go forward, also across restarts, kills, and clocks that step back. The last ones are in a file beside the key:
-`fleet.key.uav-1` for the vehicle with system id 1, `fleet.key.bridge-uav-1` for the bridge of `uav/1`. One process at a time uses it.
-Without it, what was recorded in the last minute before a restart would be taken again. It is brought to the disk every second: a power cut
-takes no more than that.
+Timestamps only go forward, also across restarts, kills, and clocks that step back. The last ones are in a file beside the key, written every second:
+`fleet.key.uav-1` for the vehicle with system id 1, `fleet.key.bridge-uav-1` for the bridge of `uav/1`. One process at a time uses it. Without it,
+frames recorded in the last minute before a restart would be taken again; a power cut costs one second.
 
 What signing does not do:
 
-- It hides nothing. Who sees a link reads it, and a TCP client hears the telemetry without a key.
+- It hides nothing. Everyone who sees a link can read it, and a TCP client hears the telemetry without a key.
 - All who have the key are equal: each can speak for each system id. Two stations need different ids, since timestamps count for each id.
-- A frame names no receiver and has no date of expiry. One that somebody holds back is taken when it comes, as long as no later one of the
-  same sender and link has come; of a sender that is new, within a minute. So is one that was sent to another process with the same key.
-- A sender that is ahead of the clock takes all others along, as the standard wants it: who then starts with the right time is refused until
-  the clocks have caught up, for 10 minutes at most. A warning names the first one that is more than a minute ahead.
-- A machine whose clock stands before 2015 takes the time from whoever signs, as the standard has it, so there one frame of the far future
-  makes the vehicle deaf to the right time; start it again with its clock set and without that file. A machine whose clock is set but late,
-  such as one that goes on after a reboot where it stopped, refuses all that is 10 minutes ahead: set its clock before the flight, by NTP or
-  GPS.
+- A frame names no receiver and has no date of expiry. One that somebody holds back is taken when it comes, as long as no later one of the same
+  sender and link has come; of a sender that is new, within a minute. So is one that was sent to another process with the same key.
+- A sender that is ahead of the clock takes all others along, as the standard wants it: one that then starts with the right time is refused until the
+  clocks have caught up, for 10 minutes at most. A warning names the first one that is more than a minute ahead.
+- A clock before 2015 is set by whoever signs, as the standard has it: one frame of the far future makes the vehicle deaf to the right time. Start it
+  again with its clock set and without that file. A clock that is set but late, as after a reboot, refuses all that is 10 minutes ahead. Set it
+  before the flight, by NTP or GPS.
 
 ## Who it says it is
 
@@ -244,16 +223,16 @@ Plumeward's own version, as PX4's vendors write it (patch, minor, major), and th
 
 ## Fly it from your own code
 
-`docs/examples/offboard.py` starts the vehicle at four times real time, takes off, flies two setpoints and lands. PX4's simulated vehicle sends to the
-same port, so `fly()` in it flies that as well. It needs the package `mavsdk`, version 4; version 3 has other modules. In a checkout `.venv` has
-version 3, and `make setup` installs version 4 beside it: with `.venv` active, run the example with `.venv/clients/mavsdk4/bin/python`.
+`docs/examples/offboard.py` starts the vehicle at four times real time, takes off, flies two setpoints and lands. Its `fly()` flies PX4's simulated
+vehicle as well, which sends to the same port. It needs version 4 of the package `mavsdk`; version 3 has other modules. `.venv` has version 3, and
+`make setup` installs version 4 beside it: with `.venv` active, run the example with `.venv/clients/mavsdk4/bin/python`.
 
 ## Tried with
 
 {tried}
 
-The tests in `tests/clients/` do this on each change. MAVSDK 4 and QGroundControl's requests are also tried over a link that loses 5% of the
-frames in both directions.
+The tests in `tests/clients/` do this on each change; MAVSDK 4 and QGroundControl's requests also over a link that loses 5% of the frames in both
+directions.
 """
 
 
@@ -270,26 +249,29 @@ def document() -> str:
     values = Parameters(vehicle)
     return PAGE.format(
         tried=_table(("client", "version", "what"), TRIED),
-        modes=_table(("mode", "PX4 main", "sub"), ((mode.name.capitalize(), *mode.value) for mode in Mode)),
+        modes=", ".join(
+            f"{mode.name.capitalize()} {main} {sub}" for mode in Mode for main, sub in [mode.value]
+        ),
         commands=_table(
             ("command", "number", "does"),
             ((names[number], number, row.does) for number, row in COMMANDS.items()),
         ),
         streams=_table(("message", "number", "rate", "says"), [*streams, *requested]),
-        setpoints=_table(("message", "is"), SETPOINTS.items()),
         answered=_table(
             ("request", "answer"), ((row.request, row.says) for row in services if row.supported)
         ),
         refused=_table(
             ("request", "answer"),
-            [
-                *((row.request, row.says) for row in services if not row.supported),
-                *((kind, f"a STATUSTEXT: {reason}") for kind, reason in REFUSED.items()),
-                *(
-                    (kind, f"a STATUSTEXT, once to each asker: {reason}")
-                    for kind, reason in REFUSED_ONCE.items()
-                ),
-            ],
+            _grouped(
+                [
+                    *((row.request, row.says) for row in services if not row.supported),
+                    *((kind, f"a STATUSTEXT: {reason}") for kind, reason in REFUSED.items()),
+                    *(
+                        (kind, f"a STATUSTEXT, once to each asker: {reason}")
+                        for kind, reason in REFUSED_ONCE.items()
+                    ),
+                ]
+            ),
         ),
         parameters=_table(
             ("parameter", "type", "default", "is", "may be set"),
@@ -323,6 +305,14 @@ def _says(build: object) -> str:
     """What a message says: the first paragraph of its builder, behind the message's name."""
     paragraph = " ".join((build.__doc__ or "").partition("\n\n")[0].split())
     return paragraph.partition(": ")[2].rstrip(".")
+
+
+def _grouped(rows: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return one row for each answer, with all requests that get it."""
+    requests: dict[str, list[str]] = {}
+    for request, answer in rows:
+        requests.setdefault(answer, []).append(request)
+    return [(", ".join(several), answer) for answer, several in requests.items()]
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
