@@ -130,7 +130,6 @@ STAYS = {
     "plumeward view --foxglove 8765": "Foxglove at ws://127.0.0.1:",
     "plumeward view runs/NAME.mcap": "page at http://127.0.0.1:",
     "plumeward estimator --connect tcp/127.0.0.1:7447": "ready: ",
-    "plumeward estimator --connect tcp/127.0.0.1:7447 --particles 4000": "ready: ",
     "plumeward estimator --connect tcp/127.0.0.1:7447 --rate 364.9238897255652 --diffusivity 5.890049834047215": "ready: ",
     "plumeward agent --connect tcp/127.0.0.1:7447 --policy homing": "ready: ",
     "plumeward agent --connect tcp/127.0.0.1:7447": "ceased at step",  # says the estimator: a whole mission is flown

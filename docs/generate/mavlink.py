@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Iterable, Sequence
+from textwrap import fill
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -20,6 +21,8 @@ from sitl.autopilot.services import REFUSED, REFUSED_ONCE
 from sitl.autopilot.telemetry import STREAMS
 from sitl.autopilot.vehicle import Vehicle
 
+WIDTH = 148
+"""Most characters of a line of prose."""
 FLIES = "arming, take-off, setpoints of position and velocity, landing"
 TRIED = (
     (
@@ -78,9 +81,9 @@ Sent at this rate on each link, or on request. MAV_CMD_SET_MESSAGE_INTERVAL sets
 PX4's onboard link streams ATTITUDE_QUATERNION and HIGHRES_IMU at 50 Hz and ODOMETRY at 30 Hz. Here they come on request: the three would more
 than double what a mission records.
 
-## Requests that are answered
+## Requests
 
-{answered}
+{requests}
 
 ## Setpoints
 
@@ -109,10 +112,6 @@ hand. With `--strict` it is as in PX4, for those who test a companion: COM_OF_LO
 unless setpoints come at 2 Hz or more. The first setpoint of a stream is enough, as in PX4's code (`offboardCheck.cpp`). While the vehicle's own
 search leads, it counts as a companion that streams, and its silence is allowed for `--silence` seconds.
 
-## Requests that are refused
-
-{refused}
-
 ## Missions, fences, rally points
 
 Uploads and downloads follow MAVLink's mission protocol, by MISSION_ITEM_INT, or MISSION_ITEM from old stations. Type 0 is the mission, 1 the fence,
@@ -131,7 +130,7 @@ MAV_MISSION_INVALID_PARAM5_X or 7. Items other than these are refused with MAV_M
 - An item is done (MISSION_ITEM_REACHED) after its flight, its turn and its wait. With autocontinue 0 the vehicle then stays.
 - At the end it holds. The next start begins with the first item. A pause is HOLD, and a resume goes on with the current item.
 - A mission that is uploaded or cleared in flight replaces the one that is flown: the vehicle begins the new one, or holds.
-- Items for a camera or a gimbal are taken and passed over, as by a PX4 that has neither: {ignored}.
+{ignored}.{ignored}
 
 The fence consists of polygons and circles, inclusions (5001, 5003) and exclusions (5002, 5004). All have to be kept; their altitudes are ignored.
 Home must be inside, and the vehicle if it flies. Setpoints, go-to, take-off and mission items outside are refused. A straight way that leaves the
@@ -148,6 +147,8 @@ is set lasts as long as the process. Integers are packed bytewise, as PX4 does. 
 STATUSTEXT names what is allowed.
 
 {parameters}
+
+{fixed}
 
 ## Signing
 
@@ -172,15 +173,10 @@ The key file holds one line. 64 hexadecimal digits are the key itself. Any other
 Where pymavlink speaks first (`udpout:`), set `MAVLINK20=1` in its environment: else it begins with MAVLink 1, which cannot be signed. One recorded
 frame is enough to try passphrases at home, so take a long one. Make the file readable for yourself alone (`chmod 600`); if not, a warning says so.
 
-| link | with `--sign` |
-| --- | --- |
-| `--out` of `fly` and `uav` | signed in both directions |
-| UDP and TCP endpoints of the bridge | signed in both directions; the bridge verifies and removes signatures, and signs anew |
-| serial lines of the bridge | not signed: they are taken for a safe cable |
-| the bus | not signed: access to it is a matter of TLS. A bridge that signs puts no signatures on it, so records hold none |
-
-An endpoint that cannot sign, such as a simulated autopilot on the same machine, belongs in a bridge of its own, without `--sign`. Such a bridge
-passes signed frames as they are, so a station and an autopilot that share a key can sign end to end.
+`--out` of `fly` and `uav` and the bridge's UDP and TCP endpoints are signed in both directions; the bridge verifies and removes signatures, and
+signs anew. Its serial lines are not: they are taken for a safe cable. Nor is the bus, access to which is a matter of TLS, so records hold no
+signatures. An endpoint that cannot sign, such as a simulated autopilot on the same machine, belongs in a bridge of its own, without `--sign`. Such a
+bridge passes signed frames as they are, so a station and an autopilot that share a key can sign end to end.
 
 | refused | is |
 | --- | --- |
@@ -257,14 +253,11 @@ def document() -> str:
             ((names[number], number, row.does) for number, row in COMMANDS.items()),
         ),
         streams=_table(("message", "number", "rate", "says"), [*streams, *requested]),
-        answered=_table(
-            ("request", "answer"), ((row.request, row.says) for row in services if row.supported)
-        ),
-        refused=_table(
+        requests=_table(
             ("request", "answer"),
             _grouped(
                 [
-                    *((row.request, row.says) for row in services if not row.supported),
+                    *((row.request, row.says) for row in sorted(services, key=lambda row: not row.supported)),
                     *((kind, f"a STATUSTEXT: {reason}") for kind, reason in REFUSED.items()),
                     *(
                         (kind, f"a STATUSTEXT, once to each asker: {reason}")
@@ -274,17 +267,23 @@ def document() -> str:
             ),
         ),
         parameters=_table(
-            ("parameter", "type", "default", "is", "may be set"),
+            ("parameter", "type", "default", "is", "allowed"),
             (
                 (
                     p.name,
                     "REAL32" if p.kind == REAL else "INT32",
                     f"{values.value(p):.9g}",
                     p.about,
-                    p.allowed.removeprefix("allowed is ") if p.field else "no",
+                    p.allowed.removeprefix("allowed is "),
                 )
                 for p in PARAMETERS
+                if p.field
             ),
+        ),
+        fixed=fill(
+            "Others can be read, and not set: "
+            + "; ".join(f"{p.name} {values.value(p):.9g} ({p.about})" for p in PARAMETERS if not p.field),
+            WIDTH,
         ),
         limits=f"{MOST_ITEMS[0]}, {MOST_ITEMS[1]} and {MOST_ITEMS[2]}",
         retry=RETRY_S,
@@ -292,7 +291,12 @@ def document() -> str:
         items=_table(
             ("item", "number", "does"), ((names[number], number, says) for number, says in FLOWN.items())
         ),
-        ignored=", ".join(names[number].removeprefix("MAV_CMD_") for number in sorted(IGNORED)),
+        ignored=fill(
+            "- Items for a camera or a gimbal are taken and passed over, as by a PX4 that has neither: "
+            + ", ".join(names[number].removeprefix("MAV_CMD_") for number in sorted(IGNORED)),
+            WIDTH,
+            subsequent_indent="  ",
+        ),
         version=".".join(map(str, FLIGHT_SW_VERSION[:3])),
     )
 
