@@ -115,10 +115,10 @@ search leads, it counts as a companion that streams, and its silence is allowed 
 ## Missions, fences, rally points
 
 Uploads and downloads follow MAVLink's mission protocol, by MISSION_ITEM_INT, or MISSION_ITEM from old stations. Type 0 is the mission, 1 the fence,
-2 the rally points. They hold at most {limits} items, in memory: a vehicle that is started anew has forgotten them. An upload replaces the whole list
-once its last item is there; until then, and if it fails, the old list stays. A missing item is asked for again after {retry:g} s, and after
-{action:g} s without an item the vehicle gives up, both in real time. While one client uploads, others get MAV_MISSION_ERROR. Downloads are answered
-to everyone at any time.
+2 the rally points. They hold at most {limits} items, in memory: a vehicle that is started anew has forgotten them. An upload replaces the
+whole list once its last item is there; until then, and if it fails, the old list stays. A missing item is asked for again after {retry:g} s, and
+after {action:g} s without an item the vehicle gives up, both in real time. While one client uploads, others get MAV_MISSION_ERROR. Downloads are
+answered to everyone at any time.
 
 A mission is checked item by item when it is uploaded, and again when it starts. An item outside the area, the altitudes or the fence is refused with
 MAV_MISSION_INVALID_PARAM5_X or 7. Items other than these are refused with MAV_MISSION_UNSUPPORTED, MAV_CMD_DO_SET_HOME among them.
@@ -130,7 +130,7 @@ MAV_MISSION_INVALID_PARAM5_X or 7. Items other than these are refused with MAV_M
 - An item is done (MISSION_ITEM_REACHED) after its flight, its turn and its wait. With autocontinue 0 the vehicle then stays.
 - At the end it holds. The next start begins with the first item. A pause is HOLD, and a resume goes on with the current item.
 - A mission that is uploaded or cleared in flight replaces the one that is flown: the vehicle begins the new one, or holds.
-{ignored}.{ignored}
+{ignored}
 
 The fence consists of polygons and circles, inclusions (5001, 5003) and exclusions (5002, 5004). All have to be kept; their altitudes are ignored.
 Home must be inside, and the vehicle if it flies. Setpoints, go-to, take-off and mission items outside are refused. A straight way that leaves the
