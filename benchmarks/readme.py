@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 PAGE, RESULTS = ROOT / "README.md", ROOT / "results"
 POLICIES = (
     ("`ppo`, learned", "learned-particles", "ppo", "results"),
-    ("`homing`, the default", "particles", "homing", "planners"),
+    ("`homing`, the default", "particles", "homing", "results"),
     ("`infotaxis`", "particles", "infotaxis", "results"),
     ("`random`", "particles", "random", "results"),
 )
