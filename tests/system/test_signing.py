@@ -5,7 +5,6 @@ its motors in the air.
 import hashlib
 import json
 import os
-import re
 import socket
 import subprocess
 import sys
@@ -241,12 +240,14 @@ def test_a_bridge_verifies_what_comes_signs_what_goes_and_leaves_the_bus_and_ser
         refused = json.loads(told.stdout)["parts"]["bridge"]["refused"]
         assert refused[f"without a signature (udpin:127.0.0.1:{udp})"] == 2
         assert refused[f"with an old timestamp (udpin:127.0.0.1:{udp})"] == 1
-        counts = "".join(line for line in bridge.err if "frames in" in line)
-        assert re.search(
-            rf"udpin:127.0.0.1:{udp}: 5 frames in.*2 without a signature, 1 with an old timestamp", counts
-        ), counts
-        assert "1 with a key (SETUP_SIGNING)" in counts
-        assert "1 of MAVLink 1, which cannot be signed" in counts
+        counts = next(line for line in bridge.err if f"udpin:127.0.0.1:{udp}: 5 frames in" in line)
+        for dropped in (
+            "2 without a signature",
+            "1 with an old timestamp",
+            "1 with a key (SETUP_SIGNING)",
+            "1 of MAVLink 1, which cannot be signed",
+        ):
+            assert dropped in counts
 
 
 @pytest.mark.parametrize(
