@@ -40,15 +40,13 @@ class VehicleConfig(AircraftConfig):
     rally: Rally = NO_RALLY  # where else than at home a return may end
 
     def __post_init__(self) -> None:
-        """Check every range."""
         self._check("sysid", 1 <= self.sysid <= 255, "1 to 255")
-        bounds = {
-            "home_lat_deg": 90.0,
-            "home_lon_deg": 180.0,
-            "home_heading_deg": 360.0,
-            "home_alt_m": 10_000.0,
-        }
-        for name, bound in bounds.items():
+        for name, bound in (
+            ("home_lat_deg", 90.0),
+            ("home_lon_deg", 180.0),
+            ("home_heading_deg", 360.0),
+            ("home_alt_m", 10_000.0),
+        ):
             self._check(name, abs(getattr(self, name)) <= bound, f"-{bound:g} to {bound:g}")
         for name in (
             "area_m",

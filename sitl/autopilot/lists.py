@@ -11,9 +11,10 @@ from functools import partial
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.state import ZERO
 from link.bus.mavlink import Message
 from sitl.autopilot import plan
-from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, Rally
+from sitl.autopilot.fence import Fence, Rally
 from sitl.autopilot.messages import Snapshot, mission_current
 from sitl.autopilot.parameters import crc32
 from sitl.autopilot.plan import NOT_GIVEN, BadItem, Item
@@ -37,7 +38,6 @@ class Upload:
     """An upload under way: who sends which list, and the items so far."""
 
     def __init__(self, request: Request) -> None:
-        """Begin without items, on a MISSION_COUNT."""
         message = request.message
         self.partner, self.link = request.asker, request.streams  # stations often share their ids
         self.mission_type, self.count = message.mission_type, message.count
@@ -53,18 +53,21 @@ class Upload:
     def ask(self, now_s: float) -> Reply:
         """Return the request for the next item."""
         self.asked_s = now_s
-        if self.floats:
-            message = mavlink.MAVLink_mission_request_message
-        else:
-            message = mavlink.MAVLink_mission_request_int_message
-        return Reply([message(*self.partner, len(self.items), self.mission_type)])
+        form = (
+            mavlink.MAVLink_mission_request_message
+            if self.floats
+            else mavlink.MAVLink_mission_request_int_message
+        )
+        return Reply([form(*self.partner, len(self.items), self.mission_type)])
 
 
 class PlanService:
-    """The lists on board of one vehicle. An upload that fails or ends half-way changes nothing."""
+    """The lists on board of one vehicle. An upload that fails or ends half-way changes nothing.
+
+    The clock is real time, s.
+    """
 
     def __init__(self, vehicle: Vehicle, clock: Callable[[], float] = time.monotonic) -> None:
-        """Load the vehicle's mission, fence and rally points. `clock` is real time, s."""
         self._vehicle, self._clock = vehicle, clock
         self._items: dict[int, Items] = dict.fromkeys(MOST_ITEMS, ())
         self._upload: Upload | None = None
@@ -120,8 +123,8 @@ class PlanService:
         mission_type = request.message.mission_type
         if mission_type not in self._items:
             raise BadItem(mavlink.MAV_MISSION_INVALID, f"List refused: type {mission_type} is not 0, 1 or 2")
-        count = len(self._items[mission_type])
-        return Reply([mavlink.MAVLink_mission_count_message(*request.asker, count, mission_type)])
+        total = len(self._items[mission_type])
+        return Reply([mavlink.MAVLink_mission_count_message(*request.asker, total, mission_type)])
 
     def _item(self, request: Request) -> Reply:
         seq, mission_type = request.message.seq, request.message.mission_type
@@ -129,8 +132,8 @@ class PlanService:
         if not 0 <= seq < len(items):
             raise BadItem(mavlink.MAV_MISSION_INVALID_SEQUENCE, f"No item {seq}: the list has {len(items)}")
         item = items[seq]
-        current = mission_type == MISSION and self._vehicle.mission.current == seq
-        head = seq, item.frame, item.command, int(current), item.autocontinue, *item.params
+        current = int(mission_type == MISSION and self._vehicle.mission.current == seq)
+        head = seq, item.frame, item.command, current, item.autocontinue, *item.params
         form, x, y = mavlink.MAVLink_mission_item_int_message, item.x, item.y
         if request.message.get_type() == "MISSION_REQUEST":
             form = mavlink.MAVLink_mission_item_message
@@ -142,8 +145,8 @@ class PlanService:
     def _begin(self, request: Request) -> Reply:
         upload = Upload(request)
         if self._upload and not self._upload.is_from(request):
-            who = "/".join(map(str, self._upload.partner))
-            raise BadItem(mavlink.MAV_MISSION_ERROR, f"Upload refused: {who} is uploading")
+            system, component = self._upload.partner
+            raise BadItem(mavlink.MAV_MISSION_ERROR, f"Upload refused: {system}/{component} is uploading")
         if upload.mission_type not in self._items:
             raise BadItem(
                 mavlink.MAV_MISSION_INVALID, f"Upload refused: type {upload.mission_type} is not 0, 1 or 2"
@@ -199,13 +202,14 @@ class PlanService:
 
     def _load(self, mission_type: int, items: Items, t_s: float, current: int = 0) -> None:
         """Load a list into the vehicle; raises BadItem if it does not fit."""
-        vehicle, config, number = self._vehicle, self._vehicle.config, checksum(items)
+        vehicle, config = self._vehicle, self._vehicle.config
+        number = crc32(b"".join(item.packed for item in items))  # PX4's id of a list; 0 of an empty one
         if mission_type == FENCE:
-            fence = plan.fence(items, number, config) if items else NO_FENCE
+            fence = plan.fence(items, number, config)
             self._check_fence(fence, t_s)
             vehicle.configure(t_s, dataclasses.replace(config, fence=fence))
         elif mission_type == RALLY:
-            rally = Rally(tuple(plan.place(item, config) for item in items), number) if items else NO_RALLY
+            rally = Rally(tuple(plan.place(item, config) for item in items), number)
             vehicle.configure(t_s, dataclasses.replace(config, rally=rally))
         elif (
             number != vehicle.mission.number or not items
@@ -217,7 +221,7 @@ class PlanService:
         """Refuse a fence that home or a vehicle in flight lies outside of, as PX4 does."""
         state = self._vehicle.state(t_s)
         flies = state.armed and state.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
-        if not fence.allows((0.0, 0.0, 0.0)):
+        if not fence.allows(ZERO):
             raise BadItem(mavlink.MAV_MISSION_DENIED, "Fence refused: home is outside it")
         if flies and not fence.allows(state.position):
             raise BadItem(mavlink.MAV_MISSION_DENIED, "Fence refused: the vehicle is outside it")
@@ -255,19 +259,15 @@ class PlanService:
         return Reply([mission_current(Snapshot(self._vehicle.config, state, (0.0, 0.0), None))])
 
 
-def checksum(items: Items) -> int:
-    """Return PX4's id of a list: a checksum of its items, 0 of an empty one."""
-    number = 0
-    for item in items:
-        number = crc32(item.packed, number)
-    return number
-
-
 def _is_last(request: Request, upload: Upload) -> bool:
     """True if a request brings the last item of an upload again."""
     message = request.message
-    same = upload.is_from(request) and upload.mission_type == message.mission_type
-    return same and message.seq == upload.count - 1 and _read(message).packed == upload.items[-1].packed
+    return (
+        upload.is_from(request)
+        and message.mission_type == upload.mission_type
+        and message.seq == upload.count - 1
+        and _read(message).packed == upload.items[-1].packed
+    )
 
 
 def _read(message: Message) -> Item:

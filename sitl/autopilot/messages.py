@@ -72,10 +72,16 @@ def global_position_int(s: Snapshot) -> Message:
     """GLOBAL_POSITION_INT (33): latitude, longitude, altitude, velocity and heading."""
     lat, lon = s.lat_lon_e7
     north, east, down = (round(speed * 100.0) for speed in s.state.velocity)
-    altitude, above_home = round(s.altitude_m * 1000.0), round(-s.state.position[2] * 1000.0)
-    heading = _centidegrees(s.state.yaw)
     return mavlink.MAVLink_global_position_int_message(
-        s.time_boot_ms, lat, lon, altitude, above_home, north, east, down, heading
+        s.time_boot_ms,
+        lat,
+        lon,
+        alt=round(s.altitude_m * 1000.0),
+        relative_alt=round(-s.state.position[2] * 1000.0),
+        vx=north,
+        vy=east,
+        vz=down,
+        hdg=_centidegrees(s.state.yaw),
     )
 
 
@@ -133,9 +139,7 @@ def attitude_quaternion(s: Snapshot) -> Message:
 
 
 def odometry(s: Snapshot) -> Message:
-    """ODOMETRY (331): position from home, NED; velocity in the body's axes, forward, right, down.
-    Accuracy: unknown.
-    """
+    """ODOMETRY (331): position from home, NED; velocity forward, right, down; accuracy unknown."""
     unknown = [math.nan] + [0.0] * 20
     return mavlink.MAVLink_odometry_message(
         round(s.state.time_s * 1e6),
@@ -165,9 +169,8 @@ def highres_imu(s: Snapshot) -> Message:
     """HIGHRES_IMU (105): what an accelerometer measures, and the yaw rate; nothing else is simulated."""
     north, east, down = s.state.acceleration
     measured = in_body(s, (north, east, down - GRAVITY_MPS2))
-    nothing = [0.0] * 7
     return mavlink.MAVLink_highres_imu_message(
-        round(s.state.time_s * 1e6), *measured, 0.0, 0.0, s.state.yaw_rate, *nothing, IMU_FIELDS
+        round(s.state.time_s * 1e6), *measured, 0.0, 0.0, s.state.yaw_rate, *[0.0] * 7, IMU_FIELDS
     )
 
 
@@ -250,8 +253,12 @@ OWN_NAME, OWN_VERSION = b"plume", (0, 1, 0)
 
 def heartbeat(s: Snapshot) -> Message:
     """HEARTBEAT (0): a PX4 quadrotor, its mode and whether it is armed."""
-    mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-    mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED | mavlink.MAV_MODE_FLAG_AUTO_ENABLED
+    mode = (
+        mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+        | mavlink.MAV_MODE_FLAG_AUTO_ENABLED
+    )
     status = mavlink.MAV_STATE_STANDBY
     if s.state.armed:
         mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
@@ -266,6 +273,8 @@ def heartbeat(s: Snapshot) -> Message:
     )
 
 
+# Parts that the simulation models without faults. Those that it does not model (barometer, receiver, logging)
+# are not reported.
 ALWAYS_HEALTHY = (
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
     | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
@@ -274,9 +283,6 @@ ALWAYS_HEALTHY = (
     | mavlink.MAV_SYS_STATUS_AHRS
     | mavlink.MAV_SYS_STATUS_GEOFENCE
 )
-"""Parts that the simulation models without faults. Parts that it does not model (barometer, receiver,
-logging) are not reported.
-"""
 
 
 def sys_status(s: Snapshot) -> Message:
@@ -307,13 +313,10 @@ def sys_status(s: Snapshot) -> Message:
 def battery_status(s: Snapshot) -> Message:
     """BATTERY_STATUS (147): it drains evenly while the motors are on; current is not simulated."""
     left = s.state.battery
-    if left <= 0.0:
-        charge = mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL
-    else:
+    charge = mavlink.MAV_BATTERY_CHARGE_STATE_OK
+    if left <= LOW_BATTERY:
         charge = (
-            mavlink.MAV_BATTERY_CHARGE_STATE_OK
-            if left > LOW_BATTERY
-            else mavlink.MAV_BATTERY_CHARGE_STATE_LOW
+            mavlink.MAV_BATTERY_CHARGE_STATE_LOW if left > 0.0 else mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL
         )
     return mavlink.MAVLink_battery_status_message(
         id=0,
@@ -335,11 +338,8 @@ def battery_status(s: Snapshot) -> Message:
 def home_position(s: Snapshot) -> Message:
     """HOME_POSITION (242): the origin of the local frame."""
     heading = math.radians(s.config.home_heading_deg)
-    latitude, longitude, altitude = _home(s)
     return mavlink.MAVLink_home_position_message(
-        latitude=latitude,
-        longitude=longitude,
-        altitude=altitude,
+        *_home(s),
         x=0.0,
         y=0.0,
         z=0.0,

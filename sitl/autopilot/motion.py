@@ -13,11 +13,9 @@ import numpy as np
 from aircraft.state import ZERO, Ned
 
 GRAVITY_MPS2 = 9.80665
-
+# A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its direction
+# would be 0/0.
 TINY = 1e-9
-"""A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its
-direction would be 0/0.
-"""
 SAME_ROOT = 1e-6  # a root of a polynomial with a smaller imaginary part is real, but for rounding
 
 
@@ -211,8 +209,7 @@ def first_exit_s(
 
 def real_roots(coefficients: Iterable[float]) -> list[float]:
     """Return the real roots of a polynomial, highest power first; one of even order may come twice."""
-    roots = map(complex, np.roots(list(coefficients)).tolist())
-    return [root.real for root in roots if abs(root.imag) < SAME_ROOT]
+    return [root.real for root in np.roots(list(coefficients)).tolist() if abs(root.imag) < SAME_ROOT]
 
 
 def _speed_limit(direction: Ned, limits: Limits) -> float:

@@ -40,8 +40,8 @@ ROUNDING = 1e-12  # a coefficient that is smaller than the largest by this facto
 class Box(NamedTuple):
     """Where the vehicle may be: the lowest and the highest north, east and down, m from home."""
 
-    low: Ned
-    high: Ned
+    low: tuple[float, ...]
+    high: tuple[float, ...]
 
     def holds(self, position: Ned) -> bool:
         """True if a position is inside or on an edge."""
@@ -60,10 +60,7 @@ class Box(NamedTuple):
 
     def extended_to(self, position: Ned) -> "Box":
         """Return the smallest box that also holds a position."""
-        north, east, down = map(min, self.low, position)
-        low = north, east, down
-        north, east, down = map(max, self.high, position)
-        return Box(low, (north, east, down))
+        return Box(tuple(map(min, self.low, position)), tuple(map(max, self.high, position)))
 
 
 class Push(NamedTuple):
@@ -87,8 +84,7 @@ def steer(t_s: float, motion: Motion, pushes: Sequence[Push], limits: Limits, bo
     box = box.extended_to(halt(t_s, motion, limits).target)
     cruise, phases, now_s = _moving(pushes[-1].velocity), [], t_s
     if any(cruise):  # by the time that the way through the whole box takes, the vehicle has left it
-        through_s = math.dist(box.low, box.high) / math.hypot(*cruise)
-        pushes = [*pushes, Push(ZERO, through_s, cruise)]
+        pushes = [*pushes, Push(ZERO, math.dist(box.low, box.high) / math.hypot(*cruise), cruise)]
     for push in pushes:
         lasts_s = safe_s(motion, push, limits.accel_mps2, box)
         phase = Phase(now_s, now_s + lasts_s, now_s, motion._replace(acceleration=push.acceleration))
@@ -257,8 +253,7 @@ def facing(now: Turn, t_s: float, setpoint: Setpoint, config: VehicleConfig) -> 
     rate = min(max(setpoint.yaw_rate_radps or 0.0, -most), most)
     if rate == 0.0:
         return now.stopped(t_s)
-    is_same = now.end_s == math.inf and now.rate_radps == rate
-    return now if is_same else Turn(t_s, yaw_rad, rate)
+    return now if now.end_s == math.inf and now.rate_radps == rate else Turn(t_s, yaw_rad, rate)
 
 
 # ---- how long it may be silent ----
@@ -271,7 +266,6 @@ class Companion:
     """
 
     def __init__(self) -> None:
-        """Begin unheard."""
         self.setpoint: Setpoint | None = None
         self.is_own_search = False  # the vehicle's own search leads: it answers readings, and need not stream
         self._heard_s = self._before_s = -math.inf  # the newest setpoint, and the one before

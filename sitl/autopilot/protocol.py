@@ -21,19 +21,21 @@ BROADCAST = Result(mavlink.MAV_RESULT_FAILED, "Command refused: sent to all, wan
 
 
 class MavlinkProtocol(Words):
-    """Handles the MAVLink messages of all clients of one vehicle and builds the answers."""
+    """Handles the MAVLink messages of all clients of one vehicle and builds the answers.
+
+    The clock is real time, s: clients live in it.
+    """
 
     def __init__(self, vehicle: Vehicle, clock: Callable[[], float] = time.monotonic) -> None:
-        """Serve one vehicle. `clock` is real time, s: clients live in it."""
         super().__init__()
         self._vehicle = vehicle
         self._plans = PlanService(vehicle, clock)
         self._parameters = Parameters(vehicle)
+        # By the type of message that each takes.
         self.services: dict[str, Microservice] = {
             service.request: service
             for service in (*self._parameters.services, *SERVICES, *self._plans.services)
         }
-        """By the type of message that each takes."""
         self._told: set[tuple[str, int, int]] = set()  # (message type, sender) of texts that are sent once
 
     def receive(self, message: Message, t_s: float, streams: Telemetry | None = None) -> list[Message]:
@@ -93,8 +95,7 @@ class MavlinkProtocol(Words):
             return self.refuse(message, BROADCAST)
         answers: list[Message] = []
         asked = CommandRequest(self._vehicle, self._parameters, request.t_s, request.streams, answers)
-        result = obey(message.command, asked, params(message))
-        ack, *reason = self.answer(message, message.command, result)
+        ack, *reason = self.answer(message, message.command, obey(message.command, asked, params(message)))
         return [ack, *answers, *reason]
 
     def _said(self, reply: Reply) -> list[Message]:

@@ -84,6 +84,7 @@ def log_erase(_: Request) -> Reply:
 # Sequence number, session, opcode, size, requested opcode, burst complete, padding, offset.
 FTP_HEADER = struct.Struct("<HBBBBBxI")
 FTP_PAYLOAD = 251  # bytes, header included
+# The error of each opcode: there are no sessions and no files, and nothing can be written.
 FTP_ERROR = {
     mavlink.MAV_FTP_OPCODE_TERMINATESESSION: mavlink.MAV_FTP_ERR_INVALIDSESSION,
     mavlink.MAV_FTP_OPCODE_READFILE: mavlink.MAV_FTP_ERR_INVALIDSESSION,
@@ -100,7 +101,6 @@ FTP_ERROR = {
     mavlink.MAV_FTP_OPCODE_OPENFILEWO: mavlink.MAV_FTP_ERR_FILEPROTECTED,
     mavlink.MAV_FTP_OPCODE_CREATEDIRECTORY: mavlink.MAV_FTP_ERR_FILEPROTECTED,
 }
-"""The error of each opcode: there are no sessions and no files, and nothing can be written."""
 # Opcodes that ask for nothing, or for what is so already: acknowledged.
 FTP_HARMLESS = {mavlink.MAV_FTP_OPCODE_NONE, mavlink.MAV_FTP_OPCODE_RESETSESSION}
 FTP_ANSWERS = {mavlink.MAV_FTP_OPCODE_ACK, mavlink.MAV_FTP_OPCODE_NAK}
@@ -131,6 +131,7 @@ SERVICES = (
     ),
 )
 
+# Messages that are refused, and the text of the refusal, sent at most once a second.
 REFUSED = {
     "SET_ATTITUDE_TARGET": "Attitude setpoint refused: only positions, velocities and accelerations are "
     "flown",
@@ -145,10 +146,9 @@ REFUSED = {
     "SETUP_SIGNING": "Signing setup refused: no keys over a link",
     "PLAY_TUNE": "Tune refused: there is no speaker",
 }
-"""Messages that are refused, and the text of the refusal, sent at most once a second."""
+# Those that stations repeat as long as they run: each asker gets the text once.
 REFUSED_ONCE = {
     "MANUAL_CONTROL": "Manual control refused: not simulated",
     "RC_CHANNELS_OVERRIDE": "RC override refused: not simulated",
     "REQUEST_DATA_STREAM": "Data streams refused: MAV_CMD_SET_MESSAGE_INTERVAL sets rates",
 }
-"""Those that stations repeat as long as they run: each asker gets the text once."""

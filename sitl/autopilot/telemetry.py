@@ -61,7 +61,6 @@ class Telemetry:
     """The message schedule of one link, whose client may change the rates. Times in s."""
 
     def __init__(self, snapshot: Callable[[float], Snapshot], start_s: float = 0.0) -> None:
-        """Take a function from a time to the snapshot; every stream is due at `start_s`."""
         self._snapshot = snapshot
         self._rate_hz = {stream.message_id: stream.rate_hz for stream in STREAMS if stream.rate_hz > 0.0}
         self._next_s = dict.fromkeys(self._rate_hz, start_s)
@@ -72,8 +71,7 @@ class Telemetry:
         if not due:
             return []
         snapshot = self._snapshot(now_s)
-        for message_id in due:
-            self._next_s[message_id] = _next_slot(now_s, self._rate_hz[message_id])
+        self._next_s |= {message_id: _next_slot(now_s, self._rate_hz[message_id]) for message_id in due}
         return [message for message_id in due if (message := STREAM[message_id].build(snapshot)) is not None]
 
     def next_due_s(self) -> float:

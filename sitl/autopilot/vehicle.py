@@ -37,12 +37,13 @@ from sitl.autopilot.setpoint import Setpoint
 INFO, WARNING = mavlink.MAV_SEVERITY_INFO, mavlink.MAV_SEVERITY_WARNING
 CRITICAL, EMERGENCY = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_EMERGENCY
 EMPTY = "battery empty"
-FENCE_ACTIONS = {
+# What GF_ACTION does when the fence is left, and the mode that it changes to, if any.
+FENCE_ACTIONS: dict[int, tuple[Mode | None, str]] = {
     HOLD: (Mode.HOLD, "holding"),
     RETURN: (Mode.RETURN, "returning"),
     LAND: (Mode.LAND, "landing"),
+    TERMINATE: (None, "motors stopped"),
 }
-"""What GF_ACTION does when the fence is left."""
 
 
 class Breaches(NamedTuple):
@@ -83,7 +84,6 @@ class Battery:
     """A battery that drains evenly with the motors on. Times in s of simulation time."""
 
     def __init__(self) -> None:
-        """Begin full, with the motors off."""
         self.alarms = 0  # how many it has given: 1 since it was low, 2 since it was empty
         self.on_s = math.inf  # when the motors were switched on; infinity while they are off
         self._spent_s = 0.0  # time used up before
@@ -102,8 +102,7 @@ class Battery:
         """Return when the next alarm is due, low first, then empty; infinity if there is none."""
         if self.empty:
             return math.inf
-        lasts_s = endurance_s * (1.0 - LOW_BATTERY if self.alarms == 0 else 1.0)
-        return self.on_s + lasts_s - self._spent_s
+        return self.on_s + endurance_s * (1.0 - LOW_BATTERY if self.alarms == 0 else 1.0) - self._spent_s
 
     def charge(self, t_s: float, endurance_s: float) -> float:
         """Return the remaining charge, 0 to 1."""
@@ -111,7 +110,7 @@ class Battery:
 
 
 class Vehicle:
-    """One simulated multirotor with its autopilot.
+    """One simulated multirotor with its autopilot. It starts at home at time 0, disarmed, its battery full.
 
     Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`, `load`, `set_current`) takes
     the simulation time in s and first handles all events due by then. Time that runs backwards raises
@@ -123,7 +122,6 @@ class Vehicle:
     caveat = ""  # its position never jumps
 
     def __init__(self, config: VehicleConfig) -> None:
-        """Start at home at time 0, disarmed, with a full battery."""
         self.config = config
         self.now_s = 0.0  # the current simulation time
         self.mode = Mode.HOLD
@@ -194,8 +192,8 @@ class Vehicle:
     @property
     def busy(self) -> bool:
         """True while it waits for nobody: it flies, lands, or waits for a time of its mission."""
-        lands = self.armed and self.mode is Mode.LAND
-        return self.moving or lands or (self.armed and self._item_done_s() < math.inf)
+        waits = self.mode is Mode.LAND or self._item_done_s() < math.inf
+        return self.moving or (self.armed and waits)
 
     @property
     def free(self) -> bool:
@@ -318,8 +316,10 @@ class Vehicle:
         self.catch_up(t_s)
         altitude = self.config.takeoff_altitude_m if altitude_m is None else altitude_m
         if not 0.0 < altitude <= self.config.ceiling_m:
-            allowed = f"allowed is above 0 and up to {self.config.ceiling_m:g} m"
-            return denied(f"Take-off refused: altitude {metres(altitude)} m, {allowed}")
+            return denied(
+                f"Take-off refused: altitude {metres(altitude)} m, "
+                f"allowed is above 0 and up to {self.config.ceiling_m:g} m"
+            )
         if self.mode is Mode.TAKEOFF and self._path.target[2] == -altitude:
             return ACCEPTED  # a client repeats the command if its acknowledgement was lost
         if reason := self._unfit() or ("" if self._on_ground else "already in the air"):
@@ -466,8 +466,9 @@ class Vehicle:
         path, limits = self._halted(), self.config.limits
         north, east, down = path.target
         down = min(down, -self.config.return_altitude_m)
-        above = *self.config.rally.nearest(path.target), down
-        self._fly(path.to((north, east, down), limits).to(above, limits))
+        self._fly(
+            path.to((north, east, down), limits).to((*self.config.rally.nearest(path.target), down), limits)
+        )
 
     # ---- the path ----
 
@@ -507,8 +508,11 @@ class Vehicle:
             self._end_told = position
             north, east, down = position
             side, above = f"[0, {config.area_m:g}]", f"[0, {config.ceiling_m:g}]"
-            place = f"({metres(east)}, {metres(north)}) m at {metres(-down)} m"
-            self._say(WARNING, f"Setpoint ends at {place}: allowed is {side} x {side} m at {above} m")
+            self._say(
+                WARNING,
+                f"Setpoint ends at ({metres(east)}, {metres(north)}) m at {metres(-down)} m: "
+                f"allowed is {side} x {side} m at {above} m",
+            )
 
     # ---- the mission ----
 
@@ -570,17 +574,14 @@ class Vehicle:
         A vehicle that already returns or lands goes on with it, as in PX4.
         """
         self._breaches = Breaches(True, self._breaches.times + 1, self.now_s)
-        action = self.config.fence_action
-        mode, does = FENCE_ACTIONS.get(action, (self.mode, ""))
-        if action == TERMINATE:
-            does = "motors stopped"
-        elif self.mode in (Mode.RETURN, Mode.LAND):
-            does = ""
+        mode, does = FENCE_ACTIONS.get(self.config.fence_action, (None, ""))
+        if mode and self.mode in (Mode.RETURN, Mode.LAND):
+            mode, does = None, ""
         north, east, _ = self._motion.position
         self._say(CRITICAL, f"Fence breached at ({east:.2f}, {north:.2f}) m" + (does and f": {does}"))
-        if action == TERMINATE:
+        if self.config.fence_action == TERMINATE:
             self._drop()
-        elif does:
+        elif mode:
             self._failsafe = True
             self._enter(mode)
         self._watch_fence(outside=True)
@@ -590,9 +591,8 @@ class Vehicle:
     def _drop(self) -> None:
         """Stop the motors in the air."""
         self._say(EMERGENCY, "Motors stopped in the air")
-        falling = fall(self.now_s, self._motion)
         self._stop_motors()
-        self._fly(falling)
+        self._fly(fall(self.now_s, self._motion))
 
     def _stop_motors(self) -> None:
         self._battery.switch_off(self.now_s)

@@ -63,7 +63,6 @@ class MissionFailed(Exception):
     """A mission or a replay cannot go on; the text says why, the status is the launcher's exit status."""
 
     def __init__(self, text: str, status: int = FAILED) -> None:
-        """Take the reason and the exit status."""
         super().__init__(text)
         self.status = status
 
@@ -99,6 +98,7 @@ class Child:
         """Start `python -m words`. Its output and its end go into the inbox."""
         self.part = part
         self.kind = kind
+        self.words = words
         self.killed = False  # on purpose: then its end is not reported
         self._inbox = inbox
         self._answer = Inbox()
@@ -129,8 +129,9 @@ class Child:
                 return str(self._answer.get(timeout=SIGNAL_POLL_S))
             waited_s = time.monotonic() - began
             if waited_s >= START_LIMIT_S:
-                limit = f"{START_LIMIT_S:g} s since it was started"
-                raise MissionFailed(f"the {self.part} has said nothing in {limit}")
+                raise MissionFailed(
+                    f"the {self.part} has said nothing in {START_LIMIT_S:g} s since it was started"
+                )
             if waited_s >= START_WARN_S and not told:
                 print(f"waiting for the {self.part} to start", file=sys.stderr)
                 told = True
@@ -159,7 +160,7 @@ class Child:
         return False
 
     def join(self) -> None:
-        """Wait until all its output has been passed on. Call it after the process has ended."""
+        """Wait until it has ended and all its output has been passed on."""
         self._thread.join()
 
     def _watch(self) -> None:

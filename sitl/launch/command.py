@@ -113,38 +113,31 @@ def add_arguments(
 
 def run(args: argparse.Namespace) -> int:
     """Fly a mission, and say what has come of it. Raises BadInput."""
-
     script = _checked_script(args)
     name = run_name("connected" if args.connect else script.agent.policy, script.seed)
     summary = Path("runs") / f"{name}.json"
     files = None if args.no_record else RecordFiles(args.record or summary.with_suffix(".mcap"))
     if files:
         files.prepare(args.force)
-    page = None
-    if args.view or args.open:
-        page = MissionPage(opened=args.open, attended=sys.stderr.isatty() and not args.json)
+    attended = sys.stderr.isatty() and not args.json
+    page = MissionPage(wanted=args.view, opened=args.open, attended=attended)
     try:
         flown = fly(_launch(args, script, files.path if files else None), files, page)
     except KeyboardInterrupt:
-        if page:
-            page.end()
+        page.end()
         if files:
             files.give_up(refused=False)
-            files.tell(sys.stderr)
         print("interrupted", file=sys.stderr)
         raise
     except MissionFailed as failure:
         refused = failure.status == cli.BAD_INPUT
         if files:
             files.give_up(refused=refused)
-            files.tell(sys.stderr)
         print(f"error: {_refusal(args, str(failure)) if refused else failure}", file=sys.stderr)
-        if page:
-            page.linger()
+        page.linger()
         return failure.status
     _tell_outcome(args, flown, summary, files)
-    if page:
-        page.linger()
+    page.linger()
     return 0 if all(flown.expectations.values()) else cli.FAILED
 
 

@@ -22,7 +22,6 @@ class MissionHeard:
     """What has been heard of a mission so far."""
 
     def __init__(self, bus: Bus, system: int | None) -> None:
-        """Take the bus that decodes, and the vehicle's MAVLink system id if it is known beforehand."""
         self._bus = bus
         self._system = system or 0
         self._area = AreaFrame()
@@ -110,7 +109,6 @@ class HeardTrace:
     """
 
     def __init__(self) -> None:
-        """Begin with nothing heard."""
         self._points: dict[int, TracePoint] = {}
         self._times: dict[int, float] = {-1: -math.inf}
         # The time of the newest belief, ms, which goes on where time_boot_ms wraps; before any,

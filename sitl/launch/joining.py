@@ -1,6 +1,4 @@
-"""Missions whose router, estimator and agent run elsewhere: which scripts allow it, and waiting for the
-services.
-"""
+"""Missions whose router, estimator and agent run elsewhere: which scripts allow it, and the wait for them."""
 
 import time
 from collections.abc import Callable, Collection
@@ -28,13 +26,15 @@ def check_connect(script: Script, given: Collection[str]) -> None:
             name = f"{part}.{field}"
             changed = name in given or getattr(chosen, field) != getattr(usual, field)
             if changed and name != "agent.budget":  # the launcher uses the budget, too: it ends the mission
-                why = f"the {part} runs elsewhere, with its own flags"
-                raise BadInput(f"--connect: {name} cannot be chosen: {why}")
+                raise BadInput(
+                    f"--connect: {name} cannot be chosen: the {part} runs elsewhere, with its own flags"
+                )
     for number, event in enumerate(script.events):
         if isinstance(event, Kill | Cut | Waypoints | Lawnmower):
             tag = event.__struct_config__.tag
-            why = "it needs parts that this command starts"
-            raise BadInput(f"--connect: events[{number}], {tag}, cannot happen: {why}")
+            raise BadInput(
+                f"--connect: events[{number}], {tag}, cannot happen: it needs parts that this command starts"
+            )
 
 
 def await_services(bus: Bus, namespace: str, say: Callable[[str], None], wait_s: float) -> str:

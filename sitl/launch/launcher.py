@@ -32,7 +32,7 @@ from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import LOOK_S, Watchdog
-from sitl.script.events import Cut, Kill
+from sitl.script.events import Cut
 from sitl.script.script import Expectation, Script
 
 PAYLOAD = "payload"
@@ -58,7 +58,7 @@ class Flown(NamedTuple):
         return outcome_json(self.outcome, self.trace if with_trace else None, expectations)
 
 
-def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | None = None) -> Flown:
+def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
     """Fly a mission, record it to files and show it on a page, which stays.
 
     Raises MissionFailed if a part dies or hangs, or if the vehicle gives up unexpectedly.
@@ -69,8 +69,7 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
         starting += [PAYLOAD] * bool(mission.real)
         progress = stack.enter_context(Progress(mission.script.budget, ", ".join(starting)))
         processes = stack.enter_context(Processes(inbox))
-        if page:
-            stack.callback(page.over, processes)
+        stack.callback(page.over, processes)
         relays: dict[str, Relay] = {}
 
         def join(endpoint: str) -> Bus:
@@ -96,8 +95,7 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
         watched += [PAYLOAD] * bool(mission.real) + [RECORDER] * bool(mission.record)
         now_s, say = time.monotonic(), progress.say
         watchdog = Watchdog(watched, mission.patience_s, now_s, say, processes.tell_stacks)
-        events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
-        disturbances = Disturbances(events, processes, relays, watchdog, say)
+        disturbances = Disturbances(mission.script.events, processes, relays, watchdog, say)
         return MissionWatch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()
 
 
@@ -105,7 +103,7 @@ def start_parts(
     processes: Processes,
     mission: Launch,
     relays: dict[str, Relay],
-    page: MissionPage | None = None,
+    page: MissionPage,
     say: Callable[[str], None] = print,
 ) -> str:
     """Start all parts that do not run elsewhere; returns the router's endpoint.
@@ -145,14 +143,12 @@ def start_parts(
     if mission.record:
         words = (str(mission.record), *joining(RECORDER), "--about", about_json)
         recorder = processes.start(RECORDER, "sitl", "record", *words)
-    if page:
-        page.start(processes, ("--connect", endpoint, *secured), about_json)
+    page.start(processes, ("--connect", endpoint, *secured), about_json)
     for service, arguments in services.items():
         processes.start(service, service, *joining(service), *arguments)
     if recorder:
         processes.answer(recorder)  # it records everything from now on
-    if page:
-        page.await_start(say)
+    page.await_start(say)
     uav_words = [*mission.uav_arguments, *joining("uav"), "-I", str(mission.instance)]
     if real:
         words = ("--payload", real.payload, *real.payload_arguments, *joining(PAYLOAD))
@@ -176,13 +172,9 @@ class MissionWatch:
         endpoint: str,
         files: RecordFiles | None,
     ) -> None:
-        """Take the mission, where it is heard and shown, what goes wrong on purpose, and the files of its
-        record.
-        """
         self._mission = mission
         self._script = mission.script
         self._bus = bus
-        self._say = progress.say
         self._progress = progress
         self._watchdog = watchdog
         self._disturbances = disturbances
@@ -286,20 +278,20 @@ class MissionWatch:
             case Ended(part=part) if part in KINDS and (spared := KINDS[part].spared):
                 self._gone.add(part)
                 self._watchdog.ended(part)
-                self._say(f"warning: {spared}: {item.last_words}")
+                self._progress.say(f"warning: {spared}: {item.last_words}")
             case Ended():
                 raise_for(item)
             case LogLine(part, line, level):
                 self._last_words[part] = line
                 if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or SHOWN.search(line):
-                    self._say(line)
+                    self._progress.say(line)
             case LivelinessChange(service, alive) if self._mission.router.connect and service in SEARCHERS:
                 if not alive:
                     self._gone.add(service)
-                    self._say(f"warning: the {service} is gone")
+                    self._progress.say(f"warning: the {service} is gone")
                 elif service in self._gone:
                     self._gone.remove(service)
-                    self._say(f"the {service} is back")
+                    self._progress.say(f"the {service} is back")
                     self._watchdog.begins(service, now_s)
             case Arrival():
                 is_first = self._heard.last is None
@@ -315,12 +307,14 @@ class MissionWatch:
         """Say what is flown, once the search has begun; from then on its record counts."""
         script = self._script
         if script.about:
-            self._say(printable(script.about))
+            self._progress.say(printable(script.about))
         where = "" if script.world == AS_MODELLED else f"world {script.world}, "
-        self._say(f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}")
-        self._say(f"router at {self._endpoint}")
+        self._progress.say(
+            f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}"
+        )
+        self._progress.say(f"router at {self._endpoint}")
         if self._files and (trouble := self._files.take_place()):
-            self._say(f"warning: {trouble}")
+            self._progress.say(f"warning: {trouble}")
 
     # ---- what follows it ----
 
@@ -338,14 +332,14 @@ class MissionWatch:
         if home:
             self._bus.subscribe(MAVLINK_OUT)  # where it has landed
         if not heard.landed:
-            self._say("returning home" if after == "return" else "landing")
+            self._progress.say("returning home" if after == "return" else "landing")
         word: CommandName = "return" if after == "return" else "land"
         codec, call_at, lost_at = Codec(*LAUNCHER), 0.0, math.inf
         while not heard.landed or (home and heard.landed_at is None and time.monotonic() < lost_at):
             if heard.landed:  # the place where it stands is not waited for without end
                 lost_at = min(lost_at, time.monotonic() + LAG_S)
             if heard.state in ("paused", "holding"):
-                self._say("a pilot leads the vehicle: it is left to them")
+                self._progress.say("a pilot leads the vehicle: it is left to them")
                 return
             if heard.state == "searching" and not last.ceased and time.monotonic() >= call_at:
                 component = SEARCH if self._mission.real else AUTOPILOT
@@ -360,7 +354,7 @@ class MissionWatch:
             if RECORDER in health and health[RECORDER].step >= step:
                 return
             if time.monotonic() >= deadline:
-                self._say("warning: the record lacks the last readings: they came too late")
+                self._progress.say("warning: the record lacks the last readings: they came too late")
                 return
             self._listen(deadline - time.monotonic())
 
@@ -371,15 +365,25 @@ class MissionWatch:
         if points is None:
             raise MissionFailed(f"{lost}: the trace has gaps")
         if missing:
-            self._say(f"warning: {lost}: of these the trace has the readings")
+            self._progress.say(f"warning: {lost}: of these the trace has the readings")
         for number, event in enumerate(script.events):
             if event.step is not None and event.step > last.step:
-                why = f"the search ended at step {last.step}"
-                self._say(f"warning: events[{number}] of step {event.step} did not happen: {why}")
+                self._progress.say(
+                    f"warning: events[{number}] of step {event.step} did not happen: "
+                    f"the search ended at step {last.step}"
+                )
         searchers = [heard.health[service] for service in ("estimator", "agent") if service in heard.health]
-        search_time_s = sum(health.compute_s for health in searchers)
-        said = last.ceased, search_time_s, last.assume, last.stop, script.world
-        result = outcome(script.seed, script.agent.policy, self._mission.truth, points, *said)
+        result = outcome(
+            script.seed,
+            script.agent.policy,
+            self._mission.truth,
+            points,
+            last.ceased,
+            sum(health.compute_s for health in searchers),
+            last.assume,
+            last.stop,
+            script.world,
+        )
         located = bool(result.located)
         came_true = {
             "ceased": result.ceased,

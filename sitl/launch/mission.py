@@ -81,18 +81,21 @@ def check_payload(script: Script, payload: str) -> None:
     release = script.scenario
     for name in release.__struct_fields__:
         if name != "start" and getattr(release, name) is not None:
-            why = "its plume is real; what the estimator assumes is in its own part"
-            raise BadInput(f"MISSION: scenario.{name} is not allowed with {real}: {why}")
+            raise BadInput(
+                f"MISSION: scenario.{name} is not allowed with {real}: its plume is real; "
+                "what the estimator assumes is in its own part"
+            )
     for judged in sorted(TRUTH_NEEDED & {*script.expectations}):
-        why = "nobody knows where the source is"
-        raise BadInput(f"MISSION: expect: {judged!r} is not allowed with {real}: {why}")
+        raise BadInput(
+            f"MISSION: expect: {judged!r} is not allowed with {real}: nobody knows where the source is"
+        )
 
 
 def estimator_arguments(mission: Launch) -> list[str]:
-    """Return the estimator's flags: what it assumes, and a seed of its own, as the mission's would reveal
-    the source.
+    """Return the estimator's flags: what it assumes, and a seed of its own.
 
-    With a real plume it assumes what the script says, and its own defaults for the rest.
+    The mission's seed would reveal the source. With a real plume it assumes what the script says, and its own
+    defaults for the rest.
     """
     script, part = mission.script, mission.script.estimator
     release = script.release() if mission.truth else None
@@ -126,8 +129,7 @@ def agent_arguments(mission: Launch) -> list[str]:
         "--sysid": mission.system,
     }
     scripted = script.scripted()
-    starts = [step for step in scripted if step - 1 not in scripted]
-    paths = [_path(scripted, step) for step in sorted(starts)]
+    paths = [_path(scripted, step) for step in sorted(scripted) if step - 1 not in scripted]
     return [*_words(flags), *(word for path in paths for word in ("--waypoints", path))]
 
 

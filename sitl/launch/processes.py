@@ -44,11 +44,8 @@ class Processes:
     """The child processes; their output and ends go into the inbox."""
 
     def __init__(self, inbox: Inbox) -> None:
-        """Start with none."""
         self._inbox = inbox
         self._children: dict[str, Child] = {}
-        self._commands: dict[str, tuple[str, ...]] = {}
-        self._all: list[Child] = []
         self._suspended_before: Any = None
 
     def start(self, part: str, *words: str, kind: PartKind | None = None) -> Child:
@@ -56,8 +53,6 @@ class Processes:
         with uninterrupted():
             child = Child(part, kind or KINDS.get(part, PartKind()), words, self._inbox)
             self._children[part] = child
-            self._commands[part] = words
-            self._all.append(child)
         return child
 
     def start_router(self, listen: str, secure: Path | None = None) -> str:
@@ -66,8 +61,9 @@ class Processes:
         Raises MissionFailed if it cannot listen.
         """
         words = ("sitl", "router", *secure_words(secure), "--listen")
-        endpoint = self.answer(self.start(ROUTER, *words, listen))
-        self._commands[ROUTER] = (*words, endpoint)
+        router = self.start(ROUTER, *words, listen)
+        endpoint = self.answer(router)
+        router.words = *words, endpoint
         return endpoint
 
     def answer(self, child: Child) -> str:
@@ -80,7 +76,7 @@ class Processes:
 
     def release(self, part: str) -> None:
         """Let a part outlast the others: its end is the caller's business."""
-        self._all.remove(self._children.pop(part))
+        del self._children[part]
 
     def tell_stacks(self, part: str) -> None:
         """Let a part of ours that hangs print where its threads are."""
@@ -92,19 +88,17 @@ class Processes:
         child = self._children[part]
         child.killed = True
         child.kill()
-        child.wait(STOP_TIMEOUT_S)
+        child.join()
 
     def restart(self, part: str) -> None:
         """Start a killed part again with its first command; a router at its old endpoint."""
-        self.start(part, *self._commands[part])
+        self.start(part, *self._children[part].words)
 
     def __enter__(self) -> Self:
-        """Enter a with block; its end ends all processes."""
         self._suspended_before = signal.signal(signal.SIGTSTP, self._suspend)
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End all of them."""
         self.stop()
         signal.signal(signal.SIGTSTP, self._suspended_before)
 
@@ -122,7 +116,7 @@ class Processes:
         with contextlib.suppress(KeyboardInterrupt), uninterrupted():
             for turn in sorted({child.kind.turn for child in self._children.values()}):
                 _end([child for child in self._children.values() if child.kind.turn == turn])
-            for child in self._all:
+            for child in self._children.values():
                 child.join()
             self._tell_what_the_recorder_lacks()
 

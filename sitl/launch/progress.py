@@ -18,7 +18,6 @@ class Progress:
     """Shows on stderr what a mission waits for, then its newest belief."""
 
     def __init__(self, budget: int, starting: str = "router, uav, estimator, agent") -> None:
-        """Take the step budget, which is shown beside the step, and what is being started."""
         self._budget = budget
         self._ceased = False
         self._reason = ""
@@ -30,13 +29,11 @@ class Progress:
         )
 
     def __enter__(self) -> "Progress":
-        """Begin to show."""
         if self._console.is_terminal:
             self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Clear the live line."""
         if self._console.is_terminal:
             self._live.stop()
 

@@ -38,9 +38,7 @@ class Watchdog:
         say: Callable[[str], None],
         hangs: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Take parts that have just been started, how long one may be silent, how to tell people, and what
-        to do with one that hangs.
-        """
+        """Watch parts that have just been started; `hangs` is called with one that is silent for too long."""
         self._parts = {part: _Watched(now_s) for part in parts}
         self._patience_s = patience_s
         self._looked_s = now_s

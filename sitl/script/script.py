@@ -44,8 +44,8 @@ def _says(name: str, words: str, unit: str) -> Meta:
     return Meta(description=f"{words}, a number from {low:g} up to {high:.12g}, {unit}")
 
 
+# Real time after which the stream of a companion's setpoints is lost, if strict: PX4's COM_OF_LOSS_T.
 STREAM_S = 1.0
-"""Real time after which the stream of a companion's setpoints is lost, if strict: PX4's COM_OF_LOSS_T."""
 Expectation = Literal[
     "ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"
 ]
@@ -133,7 +133,6 @@ class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     ] = None
 
     def __post_init__(self) -> None:
-        """Require at most one of threshold_m and stop."""
         if self.threshold_m is not None and self.stop is not None:
             raise ValueError("wanted at most one of threshold_m and stop")
 

@@ -170,7 +170,6 @@ class SimulatedSensor(GasSensor):
     """A gas sensor in a simulated world."""
 
     def __init__(self, world: World) -> None:
-        """Take the world of the mission."""
         self._in_world = Simulated(world)
 
     @property
@@ -210,7 +209,6 @@ class Asked:
         search: Search,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Take the vehicle, its protocol and its search. `clock` is real time, s."""
         self._vehicle, self._protocol, self._search, self._clock = vehicle, protocol, search, clock
         self._streams: dict[Sender, float] = {}  # when each client last sent a setpoint
 
