@@ -15,10 +15,10 @@ from aircraft.state import ZERO
 from link.bus.mavlink import Message
 from sitl.autopilot import plan
 from sitl.autopilot.fence import Fence, Rally
-from sitl.autopilot.messages import Snapshot, mission_current
 from sitl.autopilot.parameters import crc32
 from sitl.autopilot.plan import NOT_GIVEN, BadItem, Item
 from sitl.autopilot.services import Microservice, Reply, Request
+from sitl.autopilot.telemetry import Snapshot, mission_current
 from sitl.autopilot.vehicle import Vehicle
 
 RETRY_S = 0.25  # real time after which an item is asked for again: PX4's value; clients live in real time

@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.state import LOW_BATTERY
 from link.bus.mavlink import Message
-from sitl.autopilot.messages import CELLS, EMPTY_CELL_V, FULL_CELL_V
 from sitl.autopilot.services import Microservice, Reply, Request
+from sitl.autopilot.telemetry import CELLS, EMPTY_CELL_V, FULL_CELL_V
 from sitl.autopilot.vehicle import Vehicle
 
 REAL, INT = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32

@@ -16,15 +16,13 @@ from link import cli
 from plume.outcome import outcome_text
 from plume.scenario import BUDGET_STEPS
 from sitl.launch.child import MissionFailed
-from sitl.launch.joining import check_connect
 from sitl.launch.launcher import Flown, fly
-from sitl.launch.mission import Launch, RealVehicle, RouterChoice, check_payload
+from sitl.launch.mission import Launch, RealVehicle, RouterChoice, check_connect, check_payload
 from sitl.launch.recording import RecordFiles, run_name, write_summary
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
-from sitl.script.options import FIELDS, blamed, script_of
+from sitl.script.options import FIELDS, blamed, script_for_vehicle, script_of
 from sitl.script.script import AgentPart, Script
-from sitl.script.vehicle import script_for_vehicle
 from sitl.uav.options import add_vehicle_arguments
 
 # Raises ValueError, with what is allowed, on a policy that cannot be flown.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from aircraft.operator import AUTOPILOT, LAUNCHER, SEARCH, CommandName, order
+from aircraft.operator import AUTOPILOT, LAUNCHER, SEARCH, order
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.log import LEVELS
@@ -23,8 +23,7 @@ from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.worlds import AS_MODELLED
 from sitl.launch.child import Ended, LogLine, MissionFailed, raise_for
 from sitl.launch.disturbances import Disturbances
-from sitl.launch.heard import MissionHeard
-from sitl.launch.joining import await_services
+from sitl.launch.heard import MissionHeard, await_services
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
 from sitl.launch.processes import FLYING, KINDS, RECORDER, ROUTER, Processes, secure_words
 from sitl.launch.progress import Progress, pace
@@ -333,7 +332,6 @@ class MissionWatch:
             self._bus.subscribe(MAVLINK_OUT)  # where it has landed
         if not heard.landed:
             self._progress.say("returning home" if after == "return" else "landing")
-        word: CommandName = "return" if after == "return" else "land"
         codec, call_at, lost_at = Codec(*LAUNCHER), 0.0, math.inf
         while not heard.landed or (home and heard.landed_at is None and time.monotonic() < lost_at):
             if heard.landed:  # the place where it stands is not waited for without end
@@ -343,7 +341,7 @@ class MissionWatch:
                 return
             if heard.state == "searching" and not last.ceased and time.monotonic() >= call_at:
                 component = SEARCH if self._mission.real else AUTOPILOT
-                self._bus.publish(MAVLINK_IN, codec.pack(order(word, heard.system, component)))
+                self._bus.publish(MAVLINK_IN, codec.pack(order(after, heard.system, component)))
                 call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)
 

@@ -1,8 +1,8 @@
-"""What a launcher is to fly, and the command lines of the services that fly it."""
+"""What a launcher is to fly, what cannot be flown, and the command lines of the services that fly it."""
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,12 @@ from plume.randomness import derived_seed
 from plume.scenario import Scenario
 from plume.worlds import AS_MODELLED
 from sitl.launch.watchdog import PATIENCE_S
-from sitl.script.script import Expectation, Script
+from sitl.script.events import Cut, Kill, Lawnmower, Waypoints
+from sitl.script.script import AgentPart, EstimatorPart, Expectation, Script
 
 # Expectations that need the source's true position.
 TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})
+USUAL = {"estimator": EstimatorPart(), "agent": AgentPart()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +91,28 @@ def check_payload(script: Script, payload: str) -> None:
         raise BadInput(
             f"MISSION: expect: {judged!r} is not allowed with {real}: nobody knows where the source is"
         )
+
+
+def check_connect(script: Script, given: Collection[str]) -> None:
+    """Raise BadInput if a script cannot be flown with services that run elsewhere.
+
+    `given`: fields set by flags, such as agent.policy.
+    """
+    for part, usual in USUAL.items():
+        chosen = getattr(script, part)
+        for field in sorted(chosen.__struct_fields__):
+            name = f"{part}.{field}"
+            changed = name in given or getattr(chosen, field) != getattr(usual, field)
+            if changed and name != "agent.budget":  # the launcher uses the budget, too: it ends the mission
+                raise BadInput(
+                    f"--connect: {name} cannot be chosen: the {part} runs elsewhere, with its own flags"
+                )
+    for number, event in enumerate(script.events):
+        if isinstance(event, Kill | Cut | Waypoints | Lawnmower):
+            tag = event.__struct_config__.tag
+            raise BadInput(
+                f"--connect: events[{number}], {tag}, cannot happen: it needs parts that this command starts"
+            )
 
 
 def estimator_arguments(mission: Launch) -> list[str]:

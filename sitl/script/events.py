@@ -39,9 +39,7 @@ class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
 
 
 class Lawnmower(ScriptEvent, frozen=True, tag="lawnmower"):
-    """Waypoints that replace the agent's: rows west to east and back, from the south to the north edge of
-    a rectangle.
-    """
+    """Waypoints that replace the agent's: rows west to east and back, a rectangle from south to north."""
 
     low: Point = (0.0, 0.0)
     high: Point = (AREA_M, AREA_M)
@@ -53,8 +51,9 @@ class Lawnmower(ScriptEvent, frozen=True, tag="lawnmower"):
     ] = STEP_M
 
     def path(self) -> list[Point]:
-        """Return the waypoints, (x, y) in m; rows end on the rectangle's edges, and the last row lies on
-        its north edge.
+        """Return the waypoints, (x, y) in m.
+
+        Rows end on the rectangle's edges, and the last row lies on its north edge.
         """
         xs, ys = (
             _steps(low, high, step)

@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from aircraft.search.events import Count, OnBoard, Radians, ScriptEvent, Wind, WindSpeed
 from aircraft.search.search import AfterStop
-from link.cli import did_you_mean
+from link.cli import BadInput, did_you_mean
 from plume import sensor
 from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
@@ -35,7 +35,7 @@ from sitl.script.events import (
     Rate,
     Waypoints,
 )
-from sitl.script.typed_yaml import Document, FileError
+from sitl.script.typed_yaml import Document
 
 
 def _says(name: str, words: str, unit: str) -> Meta:
@@ -198,8 +198,7 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return World(self.release(), self.seed, sensor.parse(self.sensor), self.world)
 
     def vehicle_config(self, sysid: int) -> VehicleConfig:
-        """Return the vehicle's configuration, with the times of a companion's silence converted from real
-        to simulation time.
+        """Return the vehicle's configuration; a companion's silence becomes simulation time.
 
         At speed-up 0 a waiting vehicle runs in real time, so the factor is 1. PX4's simulations stretch
         their times likewise.
@@ -248,17 +247,14 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 def shipped() -> dict[str, Path]:
     """Return the shipped missions by name; a wheel has them inside this package, a checkout beside it."""
-    package = Path(__file__).parents[1]
-    folder = package / "missions"
-    if not folder.is_dir():
-        folder = package.parent / "missions"
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    folders = [parent / "missions" for parent in Path(__file__).parents[1:3]]
+    return {path.stem: path for folder in folders for path in sorted(folder.glob("*.yaml"))}
 
 
 def find(mission: str | Path) -> Path:
     """Return the path of a mission: a file of this name, else the shipped mission of this name.
 
-    Raises FileError if there is neither.
+    Raises BadInput if there is neither.
     """
     missions, name = shipped(), str(mission).removesuffix(".yaml")
     if not os.path.isfile(mission) and name in missions:
@@ -270,16 +266,16 @@ def find(mission: str | Path) -> Path:
         wanted = (
             f"{f'{near} Wanted' if near else '; wanted'} a mission script, or one of {', '.join(missions)}"
         )
-        raise FileError(f"{mission}: no such file and no shipped mission{wanted}") from None
+        raise BadInput(f"{mission}: no such file and no shipped mission{wanted}") from None
     except OSError as error:
-        raise FileError(f"{mission}: {error.strerror}") from None
+        raise BadInput(f"{mission}: {error.strerror}") from None
     return Path(mission)
 
 
 def load(mission: str | Path) -> Script:
     """Read a mission script, or a shipped one by its name.
 
-    Raises FileError with file, line, field and what is allowed, in one line.
+    Raises BadInput with file, line, field and what is allowed, in one line.
     """
     document = Document(find(mission))
     if old := _renamed(document.value):
@@ -310,8 +306,10 @@ def load(mission: str | Path) -> Script:
             f"{len(taken):,} scripted waypoints are not allowed; wanted {MOST_WAYPOINTS:,} at most",
         )
     if script.agent.policy == "none" and (not taken or max(taken) >= len(taken)):
-        wanted = "a policy, or scripted waypoints from step 0 on without a gap"
-        raise document.error(["agent", "policy"], f"'none' is not allowed; wanted {wanted}")
+        raise document.error(
+            ["agent", "policy"],
+            "'none' is not allowed; wanted a policy, or scripted waypoints from step 0 on without a gap",
+        )
     return script
 
 
@@ -336,7 +334,7 @@ def _warn(line: str) -> None:
 
 
 def _check(document: Document, number: int, event: ScriptEvent) -> None:
-    """Check what depends on more than one field. Raises FileError."""
+    """Check what depends on more than one field. Raises BadInput."""
     field: list[str | int] = ["events", number]
     match event:
         case Wind(u=None, phi=None):

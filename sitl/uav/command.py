@@ -8,8 +8,7 @@ from aircraft.search.events import OnBoard
 from aircraft.search.options import add_vehicle_url
 from link import cli
 from sitl.autopilot.vehicle import Vehicle
-from sitl.script.options import script_of
-from sitl.script.vehicle import script_for_vehicle
+from sitl.script.options import script_for_vehicle, script_of
 from sitl.uav.options import add_vehicle_arguments, at_own_home
 from sitl.uav.simulated import simulated_uav
 

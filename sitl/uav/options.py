@@ -90,9 +90,7 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
 
 
 def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:
-    """Return the configuration of vehicle `instance`, moved east of the default home, unless a home of its
-    own was chosen.
-    """
+    """Return the configuration of vehicle `instance`, moved east unless a home of its own was chosen."""
     usual = VehicleConfig()
     if (config.home_lat_deg, config.home_lon_deg) != (usual.home_lat_deg, usual.home_lon_deg):
         return config

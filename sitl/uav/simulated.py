@@ -1,6 +1,4 @@
-"""A simulated vehicle's clients: it is its own autopilot, which tells them its state and does what they
-ask.
-"""
+"""A simulated vehicle's clients: it is its own autopilot, tells them its state and does what they ask."""
 
 import math
 import time
@@ -26,10 +24,9 @@ from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival
 from link.modes import Mode
 from plume.world import World
-from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol
 from sitl.autopilot.setpoint import GLOBAL, LOCAL
-from sitl.autopilot.telemetry import Telemetry
+from sitl.autopilot.telemetry import Snapshot, Telemetry
 from sitl.autopilot.vehicle import Vehicle
 
 STREAM_S = 1.0  # real time after which a client's stream of setpoints has ended: PX4's COM_OF_LOSS_T
@@ -80,14 +77,17 @@ class SimulatedClients:
         # The vehicle's time, not the streams' time: at speed-up 0 they differ.
         vehicle, sensor = self._vehicle, self._sensor
         return Telemetry(
-            lambda _: Snapshot(vehicle.config, vehicle.state(vehicle.now_s), sensor.wind, self._gas)
+            lambda _: Snapshot(
+                vehicle.config, vehicle.state(vehicle.now_s), sensor.simulated.world.wind, self._gas
+            )
         )
 
     # ---- what they are told ----
 
     def serve(self) -> None:
-        """Take what has come over UDP, and tell what is due; and at once when the mission goes on: stations
-        take it for finished before they see the next mode.
+        """Take what has come over UDP, and tell what is due.
+
+        That the mission goes on is told at once: stations take it for finished before they see the next mode.
         """
         if self._udp:
             for link, message, peer in self._udp.receive():
@@ -170,22 +170,17 @@ class SimulatedSensor(GasSensor):
     """A gas sensor in a simulated world."""
 
     def __init__(self, world: World) -> None:
-        self._in_world = Simulated(world)
-
-    @property
-    def wind(self) -> tuple[float, float]:
-        """The wind now, (u cos φ, u sin φ) m/s: points to where it comes from."""
-        return self._in_world.world.wind
+        self.simulated = Simulated(world)
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured:
         """Take reading `number`."""
         north, east, _ = arrived.position
-        sample = self._in_world(Question(0, time_boot_ms, number, (east, north), None))
+        sample = self.simulated(Question(0, time_boot_ms, number, (east, north), None))
         return Measured(arrived, sample.gas, sample.wind)
 
     def blow(self, u: float | None, phi: float | None) -> None:
         """Turn the wind, and the plume with it."""
-        self._in_world.world = turned(self._in_world.world, u, phi)
+        self.simulated.world = turned(self.simulated.world, u, phi)
 
 
 def simulated_uav(vehicle: Vehicle, orders: Orders, equipment: Equipment) -> Uav:
@@ -215,8 +210,7 @@ class Asked:
     def receive(
         self, message: Message, t_s: float, whence: str, streams: Telemetry | None = None
     ) -> list[Message]:
-        """Handle a message from any link as `MavlinkProtocol.receive` does, and see to it that only the
-        leader leads.
+        """Handle a message from any link as `MavlinkProtocol.receive` does; only the leader leads.
 
         whence: how it came, in words; anybody can write any ids into a frame.
         """
@@ -231,10 +225,9 @@ class Asked:
                 return self._protocol.refuse_setpoint(
                     denied("Waypoint refused: the search leads, HOLD stops it", "not leading"), t_s
                 )
-            return self._protocol.receive(message, t_s, streams)
         if kind not in CHANGES:
             return self._protocol.receive(message, t_s, streams)
-        before = self._flown()
+        before = self._vehicle.mode, self._vehicle.armed
         if _asks_offboard(message) and self._search.under_way and not self._search.found:
             if self._search.leads and self._is_streaming(sender):
                 reason = "Offboard refused: the search leads, HOLD stops it"
@@ -242,7 +235,7 @@ class Asked:
             if not self._search.leads and not self._is_streaming(None):
                 return self._give_back(message, who, t_s, streams)
         answers = self._protocol.receive(message, t_s, streams)
-        if self._search.under_way and self._flown() != before:
+        if self._search.under_way and (self._vehicle.mode, self._vehicle.armed) != before:
             how = self._vehicle.mode.name if self._vehicle.armed else "disarmed"
             self._search.give_way(how, who)
         return answers
@@ -257,13 +250,8 @@ class Asked:
             self._search.resumed(who)
         return answers
 
-    def _flown(self) -> tuple[Mode, bool]:
-        return self._vehicle.mode, self._vehicle.armed
-
     def _is_streaming(self, sender: Sender | None) -> bool:
-        """Whether a client, or with None any client, streams setpoints of its own: then it leads in
-        OFFBOARD.
-        """
+        """Whether a client, or with None any client, streams setpoints: it then leads in OFFBOARD."""
         heard_s = (
             max(self._streams.values(), default=-math.inf)
             if sender is None

@@ -11,8 +11,8 @@ import pytest
 from aircraft.state import Arrived, Said
 from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.messages import Snapshot, position_target_local_ned
 from sitl.autopilot.setpoint import Setpoint
+from sitl.autopilot.telemetry import Snapshot, position_target_local_ned
 from sitl.autopilot.vehicle import Vehicle
 from tests.ground.tlog.flights import (
     ACCEPTED,

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from sitl.launch.child import MissionFailed
-from sitl.launch.joining import await_services
+from sitl.launch.heard import await_services
 
 
 class EmptyBus:
