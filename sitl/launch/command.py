@@ -15,9 +15,9 @@ from aircraft.search.options import add_vehicle_url
 from link import cli
 from plume.outcome import outcome_text
 from plume.scenario import BUDGET_STEPS
-from sitl.launch.child import MissionFailed
 from sitl.launch.launcher import Flown, fly
 from sitl.launch.mission import Launch, RealVehicle, RouterChoice, check_connect, check_payload
+from sitl.launch.processes import MissionFailed
 from sitl.launch.recording import RecordFiles, run_name, write_summary
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import PATIENCE_S, WARN_S

@@ -10,7 +10,7 @@ from operator import itemgetter
 from sitl.launch.processes import Processes
 from sitl.launch.relay import Relay
 from sitl.launch.watchdog import Watchdog
-from sitl.script.events import Cut, Kill
+from sitl.script.script import Cut, Kill
 
 
 class Disturbances:

@@ -15,7 +15,7 @@ from link.bus.session import Arrival, Bus, LivelinessChange
 from plume.outcome import TracePoint
 from scene.follow.area import PLACING, AreaFrame
 from scene.follow.telemetry import LOCAL, frames
-from sitl.launch.child import MissionFailed
+from sitl.launch.processes import MissionFailed
 
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
 SAY_AFTER_S = 1.0  # how long services elsewhere may be missing until people are told

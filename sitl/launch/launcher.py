@@ -21,18 +21,27 @@ from link.terminal import printable
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.worlds import AS_MODELLED
-from sitl.launch.child import Ended, LogLine, MissionFailed, raise_for
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.heard import MissionHeard, await_services
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
-from sitl.launch.processes import FLYING, KINDS, RECORDER, ROUTER, Processes, secure_words
+from sitl.launch.processes import (
+    FLYING,
+    KINDS,
+    RECORDER,
+    ROUTER,
+    Ended,
+    LogLine,
+    MissionFailed,
+    Processes,
+    raise_for,
+    secure_words,
+)
 from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import LOOK_S, Watchdog
-from sitl.script.events import Cut
-from sitl.script.script import Expectation, Script
+from sitl.script.script import Cut, Expectation, Script
 
 PAYLOAD = "payload"
 CALL_EVERY_S = 1.0  # real time between two commands to return home

@@ -13,8 +13,7 @@ from plume.randomness import derived_seed
 from plume.scenario import Scenario
 from plume.worlds import AS_MODELLED
 from sitl.launch.watchdog import PATIENCE_S
-from sitl.script.events import Cut, Kill, Lawnmower, Waypoints
-from sitl.script.script import AgentPart, EstimatorPart, Expectation, Script
+from sitl.script.script import AgentPart, Cut, EstimatorPart, Expectation, Kill, Lawnmower, Script, Waypoints
 
 # Expectations that need the source's true position.
 TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})

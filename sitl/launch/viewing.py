@@ -6,8 +6,7 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 
-from sitl.launch.child import Child, MissionFailed
-from sitl.launch.processes import PAGE, STOP_TIMEOUT_S, Processes
+from sitl.launch.processes import PAGE, STOP_TIMEOUT_S, Child, MissionFailed, Processes
 
 UNATTENDED_S = 30.0  # how long the page stays at most where nobody can press Ctrl-C
 

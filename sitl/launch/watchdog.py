@@ -6,8 +6,7 @@ It has no clock: callers pass the time, s, and who was heard.
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from sitl.launch.child import START_LIMIT_S, START_WARN_S
-from sitl.launch.processes import KINDS, ROUTER
+from sitl.launch.processes import KINDS, ROUTER, START_LIMIT_S, START_WARN_S
 
 # Each part publishes its health every second: one that is silent for this long hangs, or its link is cut.
 WARN_S = 5.0

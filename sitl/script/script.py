@@ -3,7 +3,7 @@
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,27 +15,18 @@ from aircraft.search.events import Count, OnBoard, Radians, ScriptEvent, Wind, W
 from aircraft.search.search import AfterStop
 from link.cli import BadInput, did_you_mean
 from plume import sensor
-from plume.parameters import LIMITS
+from plume.parameters import LIMITS, MOST
 from plume.randomness import MAX_SEED
-from plume.scenario import BUDGET_STEPS, Scenario, draw
+from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario, draw
 from plume.world import World
 from plume.worlds import AS_MODELLED, WORLDS, check
 from sitl.autopilot.config import VehicleConfig
-from sitl.script.events import (
-    MOST_WAYPOINTS,
-    OLD_WORDS,
-    Cut,
-    Diffusivity,
-    Height,
-    Kill,
-    Lawnmower,
-    Lifetime,
-    Point,
-    Positive,
-    Rate,
-    Waypoints,
-)
 from sitl.script.typed_yaml import Document
+
+
+def _limits(name: str) -> Meta:
+    low, high = LIMITS[name]
+    return Meta(ge=low, le=high)
 
 
 def _says(name: str, words: str, unit: str) -> Meta:
@@ -44,6 +35,17 @@ def _says(name: str, words: str, unit: str) -> Meta:
     return Meta(description=f"{words}, a number from {low:g} up to {high:.12g}, {unit}")
 
 
+Rate = Annotated[float, _limits("q")]
+Diffusivity = Annotated[float, _limits("d")]
+Lifetime = Annotated[float, _limits("tau")]
+Height = Annotated[float, _limits("z")]
+Positive = Annotated[float, Meta(gt=0, le=MOST)]
+Seconds = Annotated[float, Meta(ge=0, le=MOST)]
+Coordinate = Annotated[float, Meta(ge=0, le=AREA_M)]
+Point = tuple[Coordinate, Coordinate]
+# The agent receives them in one command-line argument, which the system limits to 128 kB.
+MOST_WAYPOINTS = 1000
+OLD_WORDS = {"pause": "hold", "abort": "return"}  # what older scripts call these events
 # Real time after which the stream of a companion's setpoints is lost, if strict: PX4's COM_OF_LOSS_T.
 STREAM_S = 1.0
 Expectation = Literal[
@@ -152,6 +154,65 @@ class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     headings: Literal[4, 8] | None = None
     step_m: Annotated[float, Meta(gt=0, le=10)] | None = None
     measurements: Annotated[int, Meta(ge=1, le=10_000)] | None = None
+
+
+# ---- events beside the vehicle: scripted waypoints, and parts that fail ----
+
+
+class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
+    """Waypoints that replace the agent's, one per reading; the first answers this step's reading."""
+
+    points: Annotated[list[Point], Meta(min_length=1)]
+
+    def path(self) -> list[Point]:
+        """Return the waypoints, (x, y) in m."""
+        return self.points
+
+
+class Lawnmower(ScriptEvent, frozen=True, tag="lawnmower"):
+    """Waypoints that replace the agent's: rows west to east and back, a rectangle from south to north."""
+
+    low: Point = (0.0, 0.0)
+    high: Point = (AREA_M, AREA_M)
+    spacing_m: Annotated[
+        float, Meta(ge=0.1, le=MOST, description="a number from 0.1: distance between two rows, m")
+    ] = 5.0
+    step_m: Annotated[
+        float, Meta(ge=0.1, le=MOST, description="a number from 0.1: distance between two readings, m")
+    ] = STEP_M
+
+    def path(self) -> list[Point]:
+        """Return the waypoints, (x, y) in m.
+
+        Rows end on the rectangle's edges, and the last row lies on its north edge.
+        """
+        xs, ys = (
+            _steps(low, high, step)
+            for low, high, step in zip(self.low, self.high, (self.step_m, self.spacing_m), strict=True)
+        )
+        return [(x, y) for row, y in enumerate(ys) for x in (xs if row % 2 == 0 else xs[::-1])]
+
+
+class Kill(ScriptEvent, frozen=True, tag="kill"):
+    """A part is killed (SIGKILL) and restarted."""
+
+    part: Literal["estimator", "agent", "router"]
+    restart_after_s: Annotated[Seconds, Meta(description="a number from 0: real time, s")] = 0.0
+
+
+class Cut(ScriptEvent, frozen=True, tag="cut"):
+    """The link between a part and the router carries nothing for a while; neither end is notified."""
+
+    part: Literal["uav", "estimator", "agent"]
+    for_s: Annotated[float, Meta(gt=0, le=600, description="a number above 0 up to 600: real time, s")]
+
+
+def _steps(low: float, high: float, step: float) -> Sequence[float]:
+    count = math.ceil((high - low) / step - 1e-9)
+    return [min(low + number * step, high) for number in range(count)] + [high]
+
+
+# ---- the whole ----
 
 
 class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
