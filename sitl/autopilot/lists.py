@@ -123,8 +123,8 @@ class PlanService:
         mission_type = request.message.mission_type
         if mission_type not in self._items:
             raise BadItem(mavlink.MAV_MISSION_INVALID, f"List refused: type {mission_type} is not 0, 1 or 2")
-        total = len(self._items[mission_type])
-        return Reply([mavlink.MAVLink_mission_count_message(*request.asker, total, mission_type)])
+        items = self._items[mission_type]
+        return Reply([mavlink.MAVLink_mission_count_message(*request.asker, len(items), mission_type)])
 
     def _item(self, request: Request) -> Reply:
         seq, mission_type = request.message.seq, request.message.mission_type

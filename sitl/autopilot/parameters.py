@@ -222,8 +222,8 @@ class Parameters:
 
     def _hash(self) -> Message:
         named = (each.name.encode() + each.pack(self.value(each)) for each in PARAMETERS)
-        packed = struct.pack("<I", crc32(b"".join(named)))
-        return _param_value(HASH, packed, mavlink.MAV_PARAM_TYPE_UINT32, NO_INDEX)
+        number = struct.pack("<I", crc32(b"".join(named)))
+        return _param_value(HASH, number, mavlink.MAV_PARAM_TYPE_UINT32, NO_INDEX)
 
 
 def _param_value(name: str, value: bytes, kind: int, index: int) -> Message:

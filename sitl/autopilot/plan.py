@@ -151,8 +151,8 @@ def step(item: Item, count: int, config: VehicleConfig) -> MissionStep:
     match command:
         case mavlink.MAV_CMD_DO_CHANGE_SPEED:
             _check(1, p1, p1 in (0.0, 1.0), "0 or 1, a horizontal speed")
-            allowed = f"above 0 to {FASTEST_MPS:g} m/s, -1 or -2"
-            _check(2, p2, 0.0 < p2 <= FASTEST_MPS or p2 in (-1.0, -2.0), allowed)
+            holds = 0.0 < p2 <= FASTEST_MPS or p2 in (-1.0, -2.0)
+            _check(2, p2, holds, f"above 0 to {FASTEST_MPS:g} m/s, -1 or -2")
             return MissionStep(command, value=p2)
         case mavlink.MAV_CMD_DO_JUMP:
             _check(1, p1, p1 in range(count), f"0 to {count - 1}, an item")

@@ -62,8 +62,10 @@ class Setpoint(NamedTuple):
                 values = ", ".join(map(metres, vector))
                 return denied(f"Setpoint refused: {name} ({values}) is not finite", "not finite")
         if self.down_m is not None and not 0.0 <= -self.down_m <= config.ceiling_m:
-            high = f"altitude {metres(-self.down_m)} m is outside [0, {config.ceiling_m:g}] m"
-            return denied(f"Setpoint refused: {high}", "outside the altitudes")
+            return denied(
+                f"Setpoint refused: altitude {metres(-self.down_m)} m is outside [0, {config.ceiling_m:g}] m",
+                "outside the altitudes",
+            )
         return None
 
 

@@ -91,8 +91,8 @@ def global_position_int(s: Snapshot) -> Message:
 
 def local_position_ned(s: Snapshot) -> Message:
     """LOCAL_POSITION_NED (32): position and velocity; a reading is taken at these float32 values."""
-    values = np.array(s.state.position + s.state.velocity, np.float32).tolist()
-    return mavlink.MAVLink_local_position_ned_message(s.time_boot_ms, *values)
+    values = np.array(s.state.position + s.state.velocity, np.float32)
+    return mavlink.MAVLink_local_position_ned_message(s.time_boot_ms, *values.tolist())
 
 
 def attitude(s: Snapshot) -> Message:
@@ -172,9 +172,14 @@ IMU_FIELDS = (
 def highres_imu(s: Snapshot) -> Message:
     """HIGHRES_IMU (105): what an accelerometer measures, and the yaw rate; nothing else is simulated."""
     north, east, down = s.state.acceleration
-    measured = in_body(s, (north, east, down - GRAVITY_MPS2))
     return mavlink.MAVLink_highres_imu_message(
-        round(s.state.time_s * 1e6), *measured, 0.0, 0.0, s.state.yaw_rate, *[0.0] * 7, IMU_FIELDS
+        round(s.state.time_s * 1e6),
+        *in_body(s, (north, east, down - GRAVITY_MPS2)),
+        0.0,
+        0.0,
+        s.state.yaw_rate,
+        *[0.0] * 7,
+        IMU_FIELDS,
     )
 
 
@@ -532,8 +537,9 @@ class Telemetry:
         if message_id not in STREAM or not (interval_us >= 0.0 or interval_us == -1.0):
             return UNSUPPORTED
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT and not 0.0 <= interval_us <= SLOWEST_HEARTBEAT_US:
-            longest = f"{SLOWEST_HEARTBEAT_US:.0f} us"
-            return denied(f"Interval refused: HEARTBEAT has at most {longest} and stays on")
+            return denied(
+                f"Interval refused: HEARTBEAT has at most {SLOWEST_HEARTBEAT_US:.0f} us and stays on"
+            )
         rate = STREAM[message_id].rate_hz if interval_us == 0.0 else min(1e6 / interval_us, FASTEST_HZ)
         self._rate_hz.pop(message_id, None)
         self._next_s.pop(message_id, None)

@@ -129,6 +129,7 @@ class Vehicle:
         self.moving = False  # True while the current path has not ended
         self.mission = FlightPlan()  # the mission on board; `load` changes it
         self.companion = Companion()  # the program that flies it in OFFBOARD
+        self.is_searched = False  # whether its own search leads it: that need not stream setpoints
 
         self._events: list[VehicleEvent] = []
         self._battery = Battery()
@@ -179,8 +180,7 @@ class Vehicle:
         if not self.moving:
             upcoming.append((self._item_done_s(), self._pass_item))
         if self.mode is Mode.OFFBOARD:
-            lost_s = self.companion.lost_s(self._alone_since_s, self._path.end_s, config)
-            upcoming.append((lost_s, self._lose_companion))
+            upcoming.append((self._companion_lost_s(), self._lose_companion))
         upcoming.append((self._battery.next_alarm_s(config.endurance_s), self._alarm_battery))
         if self._on_ground:
             waits_s = config.disarm_landed_s if self._has_flown else config.disarm_preflight_s
@@ -199,15 +199,6 @@ class Vehicle:
     def free(self) -> bool:
         """True while it stands on the ground and nobody flies it."""
         return self._on_ground and self.mode is Mode.HOLD
-
-    @property
-    def is_searched(self) -> bool:
-        """True while its own search leads it: that need not stream setpoints."""
-        return self.companion.is_own_search
-
-    @is_searched.setter
-    def is_searched(self, leads: bool) -> None:
-        self.companion.is_own_search = leads
 
     @property
     def waypoint(self) -> Ned | None:
@@ -409,7 +400,7 @@ class Vehicle:
     def _missing(self, mode: Mode) -> str:
         """What a mode still needs, or nothing."""
         if mode is Mode.OFFBOARD:
-            return self.companion.missing(self.now_s, self.config)
+            return self.companion.missing(self.now_s, self._patience_s, self._wants_stream)
         if mode is not Mode.MISSION:
             return ""
         if not self.mission.steps:
@@ -608,9 +599,28 @@ class Vehicle:
         self._say(INFO, f"Take-off given up: not armed for {self.config.disarm_preflight_s:g} s")
         self.mode = Mode.HOLD
 
+    @property
+    def _wants_stream(self) -> bool:
+        return math.isfinite(self.config.stream_s) and not self.is_searched
+
+    @property
+    def _patience_s(self) -> float:
+        """How long the companion may be silent."""
+        return self.config.stream_s if self._wants_stream else self.config.silence_s
+
+    def _companion_lost_s(self) -> float:
+        """When the companion that flies the vehicle counts as lost, if it says nothing more.
+
+        A leg may take longer than it may be silent, so silence counts from the end of a leg to a position,
+        unless it must stream.
+        """
+        since_s = max(self.companion.heard_s, self._alone_since_s)
+        if self.waypoint is not None and not self._wants_stream:
+            since_s = max(since_s, self._path.end_s)
+        return since_s + self._patience_s
+
     def _lose_companion(self) -> None:
-        silence = f"No setpoint for {self.companion.patience_s(self.config):g} s"
-        self._fail_safe(silence, Mode.RETURN, "returning home")
+        self._fail_safe(f"No setpoint for {self._patience_s:g} s", Mode.RETURN, "returning home")
 
     def _alarm_battery(self) -> None:
         """Warn when the battery is low, as PX4 does by default; land on the spot when it is empty."""

@@ -112,8 +112,8 @@ def add_arguments(
 def run(args: argparse.Namespace) -> int:
     """Fly a mission, and say what has come of it. Raises BadInput."""
     script = _checked_script(args)
-    name = run_name("connected" if args.connect else script.agent.policy, script.seed)
-    summary = Path("runs") / f"{name}.json"
+    policy = "connected" if args.connect else script.agent.policy
+    summary = Path("runs") / f"{run_name(policy, script.seed)}.json"
     files = None if args.no_record else RecordFiles(args.record or summary.with_suffix(".mcap"))
     if files:
         files.prepare(args.force)

@@ -158,8 +158,9 @@ class HeardTrace:
         self._whole_to = -1
 
     def reading(self, payload: bytes, system: int | None) -> None:
-        """Take a reading of a system, or with None of any; one that cannot be read is left to the
-        estimator, which refuses it.
+        """Take a reading of a system, or with None of any.
+
+        One that cannot be read is left to the estimator, which refuses it.
         """
         try:
             said = unpack_reading(payload, system)

@@ -62,8 +62,11 @@ class Flown(NamedTuple):
 
     def json(self, *, with_trace: bool) -> str:
         """One line of JSON, with the expectations if there are any."""
-        expectations = {"expectations": self.expectations} if self.expectations else {}
-        return outcome_json(self.outcome, self.trace if with_trace else None, expectations)
+        return outcome_json(
+            self.outcome,
+            self.trace if with_trace else None,
+            {"expectations": self.expectations} if self.expectations else {},
+        )
 
 
 def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
@@ -181,7 +184,6 @@ class MissionWatch:
         files: RecordFiles | None,
     ) -> None:
         self._mission = mission
-        self._script = mission.script
         self._bus = bus
         self._progress = progress
         self._watchdog = watchdog
@@ -209,6 +211,7 @@ class MissionWatch:
 
     def _await_search(self) -> None:
         """Wait until the search is over: its last belief has come, with the compute times that follow it.
+
         What does not come within the patience counts as lost.
         """
         heard, lost_at = self._heard, math.inf
@@ -224,7 +227,7 @@ class MissionWatch:
     def _has_ended(self) -> bool:
         """Whether the last belief has come."""
         last = self._heard.last
-        return last is not None and (last.ceased or last.step >= self._script.budget)
+        return last is not None and (last.ceased or last.step >= self._mission.script.budget)
 
     def _is_complete(self) -> bool:
         """Whether the last belief has come, and then the health of those who made it and answered it."""
@@ -239,7 +242,7 @@ class MissionWatch:
         heard = self._heard
         if heard.stopped and not self._has_ended():
             raise MissionFailed("the estimator has declared the stop, but its last belief was not received")
-        broken_off = heard.landed and not self._has_ended() and not self._script.expectations
+        broken_off = heard.landed and not self._has_ended() and not self._mission.script.expectations
         if heard.last is None or broken_off:
             if heard.landed and (how := "; ".join(heard.health["uav"].warnings)):
                 raise MissionFailed(how)
@@ -248,11 +251,12 @@ class MissionWatch:
         return heard.last
 
     def _time_s(self, step: int) -> float:
-        """Return the time that a script's events count by, s: a reading's own, but a real vehicle's clock
-        began before the mission.
+        """Return the time that a script's events count by, s.
+
+        It is a reading's own, but a real vehicle's clock began before the mission.
         """
         if self._mission.real:
-            return (time.monotonic() - self._began_at) * self._script.speedup
+            return (time.monotonic() - self._began_at) * self._mission.script.speedup
         return self._heard.trace.time_s(step)
 
     def _listen(self, timeout_s: float | None) -> None:
@@ -313,7 +317,7 @@ class MissionWatch:
 
     def _introduce(self) -> None:
         """Say what is flown, once the search has begun; from then on its record counts."""
-        script = self._script
+        script = self._mission.script
         if script.about:
             self._progress.say(printable(script.about))
         where = "" if script.world == AS_MODELLED else f"world {script.world}, "
@@ -331,8 +335,8 @@ class MissionWatch:
 
         A stop sends it on its way; else it is commanded each second.
         """
-        heard, expected = self._heard, self._script.expectations
-        home, after = "returned home" in expected, self._script.vehicle.after_stop
+        heard, expected = self._heard, self._mission.script.expectations
+        home, after = "returned home" in expected, self._mission.script.vehicle.after_stop
         if after == "hold":
             if not home and "landed" not in expected:
                 return
@@ -366,7 +370,7 @@ class MissionWatch:
             self._listen(deadline - time.monotonic())
 
     def _flown(self, last: Belief) -> Flown:
-        script, heard = self._script, self._heard
+        script, heard = self._mission.script, self._heard
         points, missing = heard.trace.points(), heard.trace.missing
         lost = f"{missing} of {last.step + 1} beliefs were not received"
         if points is None:

@@ -108,9 +108,9 @@ def check_connect(script: Script, given: Collection[str]) -> None:
                 )
     for number, event in enumerate(script.events):
         if isinstance(event, Kill | Cut | Waypoints | Lawnmower):
-            tag = event.__struct_config__.tag
             raise BadInput(
-                f"--connect: events[{number}], {tag}, cannot happen: it needs parts that this command starts"
+                f"--connect: events[{number}], {event.__struct_config__.tag}, cannot happen: "
+                "it needs parts that this command starts"
             )
 
 

@@ -95,15 +95,14 @@ def raise_for(ended: Ended) -> NoReturn:
         raise KeyboardInterrupt  # an interrupted part ends the mission as Ctrl-C does
     if ended.status == BAD_INPUT:
         raise MissionFailed(ended.last_words.rpartition("error: ")[2], BAD_INPUT)
-    killed = f"was killed by signal {-ended.status}"
-    how = killed if ended.status < 0 else f"exited with status {ended.status}"
+    how = (
+        f"exited with status {ended.status}" if ended.status >= 0 else f"was killed by signal {-ended.status}"
+    )
     raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
 
 
 def environment() -> dict[str, str]:
-    """Return the environment of a part: it finds our packages, and no file of the current folder that has
-    their names.
-    """
+    """Return the environment of a part: it finds our packages, whatever lies in the current folder."""
     found = {**os.environ, LAUNCHER: str(os.getpid()), "PYTHONSAFEPATH": "1"}
     if ROOT.name not in ("site-packages", "dist-packages"):  # in a checkout, which need not be installed
         found["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
@@ -315,9 +314,7 @@ class Processes:
             self._tell_what_the_recorder_lacks()
 
     def _tell_what_the_recorder_lacks(self) -> None:
-        """Tell what stopped the recording at the mission's end, when nobody reads the inbox any more: a
-        full disk, for example.
-        """
+        """Tell what stopped the recording, such as a full disk, when nobody reads the inbox any more."""
         with contextlib.suppress(queue.Empty):
             while True:
                 item = self._inbox.get(timeout=0.0)

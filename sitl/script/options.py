@@ -49,8 +49,8 @@ TAKEN = ("takeoff_altitude_m", "silence_s", "after_stop")
 HOME = ("home_lat_deg", "home_lon_deg", "home_alt_m", "home_heading_deg")
 
 
-def add_mission_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the mission script."""
+def add_mission_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the mission script, the seed, the sensor and the world."""
     mission = parser.add_argument(
         "mission",
         nargs="?",
@@ -59,10 +59,6 @@ def add_mission_argument(parser: argparse.ArgumentParser) -> None:
         "override its fields",
     )
     cli.completed(mission, shipped, "yaml", "yml")
-
-
-def add_seed_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the seed."""
     parser.add_argument(
         "--seed",
         type=cli.whole(0, MAX_SEED),
@@ -70,10 +66,6 @@ def add_seed_argument(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seed of scenario and sensor noise (default: %(default)s)",
     )
-
-
-def add_world_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the sensor and the world."""
     kind = parser.add_argument(
         "--sensor",
         type=cli.checked(sensor.parse, sensor.KINDS),

@@ -107,7 +107,7 @@ class SimulatedClients:
     def wait_s(self) -> float:
         """Return the real time until something is due."""
         telemetry_s = self._clock.wait_s(None, min(port.telemetry.next_due_s() for port in self._ports))
-        return min(telemetry_s, max(self._protocol.next_due_s() - time.monotonic(), 0.0))
+        return min(telemetry_s, max(self._protocol.plans.next_s() - time.monotonic(), 0.0))
 
     def changed(self) -> None:
         """Tell at once what the search does now: after the landing the process may end."""
@@ -230,8 +230,9 @@ class Asked:
         before = self._vehicle.mode, self._vehicle.armed
         if _asks_offboard(message) and self._search.under_way and not self._search.found:
             if self._search.leads and self._is_streaming(sender):
-                reason = "Offboard refused: the search leads, HOLD stops it"
-                return self._protocol.refuse(message, not_now(reason))
+                return self._protocol.refuse(
+                    message, not_now("Offboard refused: the search leads, HOLD stops it")
+                )
             if not self._search.leads and not self._is_streaming(None):
                 return self._give_back(message, who, t_s, streams)
         answers = self._protocol.receive(message, t_s, streams)

@@ -422,7 +422,7 @@ def test_strict_arming_in_offboard_needs_a_stream_too():
 
 def test_the_vehicles_own_search_need_not_stream():
     vehicle = hovering(STRICT)
-    vehicle.companion.is_own_search = True
+    vehicle.is_searched = True
     vehicle.setpoint(AT, (3.0, 4.0, -5.0))
     assert vehicle.set_mode(AT + 20.0, Mode.OFFBOARD).accepted
     (arrived,) = fly_on(vehicle)
