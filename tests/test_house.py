@@ -191,7 +191,6 @@ def test_the_services_get_neither_the_missions_seed_nor_its_source(monkeypatch: 
     from sitl.launch.launcher import start_parts
     from sitl.launch.mission import Launch
     from sitl.launch.processes import Processes
-    from sitl.launch.viewing import MissionPage
     from sitl.script.script import Script
 
     started: dict[str, tuple[str, ...]] = {}
@@ -212,7 +211,7 @@ def test_the_services_get_neither_the_missions_seed_nor_its_source(monkeypatch: 
         uav_arguments=("--seed", "123456", "--world", "all-at-once"),
         record=Path("record.mcap"),
     )
-    start_parts(Processes(queue.SimpleQueue()), mission, {}, MissionPage())
+    start_parts(Processes(queue.SimpleQueue()), mission, {})
     secrets = {
         "123456",
         "all-at-once",

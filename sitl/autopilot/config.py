@@ -93,11 +93,10 @@ class VehicleConfig(AircraftConfig):
 
     def outside(self, position: Ned, fence: bool = True) -> tuple[str, str] | None:
         """Return (kind of reason, reason) if a position is outside the area, the altitudes or the fence."""
-        if outside := super().outside(position):
-            return outside
-        if fence and (reason := self.fence_refusal(position)):
+        outside = super().outside(position)
+        if outside is None and fence and (reason := self.fence_refusal(position)):
             return "outside the fence", reason
-        return None
+        return outside
 
     def fence_refusal(self, position: Ned) -> str:
         """Return why the fence refuses a position; nothing if it does not."""

@@ -72,34 +72,33 @@ class PlanService:
         self._items: dict[int, Items] = dict.fromkeys(MOST_ITEMS, ())
         self._upload: Upload | None = None
         self._last: Upload | None = None  # the last upload that was accepted
-        rows = (
-            ("MISSION_REQUEST_LIST", self._count, "MISSION_COUNT"),
-            ("MISSION_REQUEST_INT", self._item, "MISSION_ITEM_INT as it was uploaded"),
-            ("MISSION_REQUEST", self._item, "MISSION_ITEM, with floats"),
-            (
-                "MISSION_COUNT",
-                self._begin,
-                "MISSION_REQUEST_INT of the first item; with 0 items the list is cleared",
-            ),
-            (
-                "MISSION_ITEM_INT",
-                self._take,
-                "the request of the next item, or MISSION_ACK; a bad item ends the upload",
-            ),
-            ("MISSION_ITEM", self._take, "the same; from then on items are requested by MISSION_REQUEST"),
-            ("MISSION_ACK", self._end, "nothing; OPERATION_CANCELLED ends an upload"),
-            ("MISSION_CLEAR_ALL", self._clear, "MISSION_ACK; type 255 clears all three lists"),
-            (
-                "MISSION_SET_CURRENT",
-                self._set_current,
-                "MISSION_CURRENT; of an item that is not there MISSION_ACK",
-            ),
-            ("MISSION_WRITE_PARTIAL_LIST", _no_part, "MISSION_ACK: unsupported"),
-            ("MISSION_REQUEST_PARTIAL_LIST", _no_part, "MISSION_ACK: unsupported"),
-        )
         self.services = tuple(
             Microservice(name, partial(_answered, answer), says, answer is not _no_part)
-            for name, answer, says in rows
+            for name, answer, says in (
+                ("MISSION_REQUEST_LIST", self._count, "MISSION_COUNT"),
+                ("MISSION_REQUEST_INT", self._item, "MISSION_ITEM_INT as it was uploaded"),
+                ("MISSION_REQUEST", self._item, "MISSION_ITEM, with floats"),
+                (
+                    "MISSION_COUNT",
+                    self._begin,
+                    "MISSION_REQUEST_INT of the first item; with 0 items the list is cleared",
+                ),
+                (
+                    "MISSION_ITEM_INT",
+                    self._take,
+                    "the request of the next item, or MISSION_ACK; a bad item ends the upload",
+                ),
+                ("MISSION_ITEM", self._take, "the same; from then on items are requested by MISSION_REQUEST"),
+                ("MISSION_ACK", self._end, "nothing; OPERATION_CANCELLED ends an upload"),
+                ("MISSION_CLEAR_ALL", self._clear, "MISSION_ACK; type 255 clears all three lists"),
+                (
+                    "MISSION_SET_CURRENT",
+                    self._set_current,
+                    "MISSION_CURRENT; of an item that is not there MISSION_ACK",
+                ),
+                ("MISSION_WRITE_PARTIAL_LIST", _no_part, "MISSION_ACK: unsupported"),
+                ("MISSION_REQUEST_PARTIAL_LIST", _no_part, "MISSION_ACK: unsupported"),
+            )
         )
 
     def next_s(self) -> float:
@@ -209,8 +208,8 @@ class PlanService:
             self._check_fence(fence, t_s)
             vehicle.configure(t_s, dataclasses.replace(config, fence=fence))
         elif mission_type == RALLY:
-            rally = Rally(tuple(plan.place(item, config) for item in items), number)
-            vehicle.configure(t_s, dataclasses.replace(config, rally=rally))
+            places = tuple(plan.place(item, config) for item in items)
+            vehicle.configure(t_s, dataclasses.replace(config, rally=Rally(places, number)))
         elif (
             number != vehicle.mission.number or not items
         ):  # as in PX4, the same mission again changes nothing
@@ -279,8 +278,15 @@ def _read(message: Message) -> Item:
             round(at * unit) if abs(at) * unit < NOT_GIVEN else NOT_GIVEN
             for at in (x, y)  # NaN is not less
         )
-    params = message.param1, message.param2, message.param3, message.param4
-    return Item(message.command, message.frame, message.autocontinue, params, x, y, message.z)
+    return Item(
+        message.command,
+        message.frame,
+        message.autocontinue,
+        (message.param1, message.param2, message.param3, message.param4),
+        x,
+        y,
+        message.z,
+    )
 
 
 def _unit(frame: int) -> float:

@@ -215,10 +215,10 @@ def real_roots(coefficients: Iterable[float]) -> list[float]:
 def _speed_limit(direction: Ned, limits: Limits) -> float:
     """Highest speed (m/s) along a unit vector within the horizontal and vertical limits."""
     horizontal, down = math.hypot(direction[0], direction[1]), direction[2]
-    vertical_limit = limits.descent_mps if down > 0.0 else limits.climb_mps
     return min(
         limits.speed_mps / horizontal if horizontal > 0.0 else math.inf,
-        vertical_limit / abs(down) if down != 0.0 else math.inf,
+        limits.descent_mps / down if down > 0.0 else math.inf,
+        limits.climb_mps / -down if down < 0.0 else math.inf,
     )
 
 

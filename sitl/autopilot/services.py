@@ -62,22 +62,19 @@ def ping(request: Request) -> Reply:
 
 # ---- logs and files: there are none ----
 
-LOG_BYTES = 90  # of one LOG_DATA (120)
+LOG_BYTES = 90  # of one LOG_DATA (120); without any, a download ends
 
 
-def log_entries(_: Request) -> Reply:
-    """Answer LOG_REQUEST_LIST (117): no logs."""
+def _log_entries(_: Request) -> Reply:
     return Reply([mavlink.MAVLink_log_entry_message(id=0, num_logs=0, last_log_num=0, time_utc=0, size=0)])
 
 
-def log_data(request: Request) -> Reply:
-    """Answer LOG_REQUEST_DATA (119): no bytes, which ends a download."""
+def _log_data(request: Request) -> Reply:
     message = request.message
     return Reply([mavlink.MAVLink_log_data_message(message.id, message.ofs, 0, [0] * LOG_BYTES)])
 
 
-def log_erase(_: Request) -> Reply:
-    """Answer LOG_ERASE (121) in words: it has no acknowledgement."""
+def _log_erase(_: Request) -> Reply:
     return Reply([], "Logs not erased: none on board")
 
 
@@ -123,9 +120,9 @@ def ftp(request: Request) -> Reply:
 SERVICES = (
     Microservice("TIMESYNC", timesync, "TIMESYNC with the time of the simulation, which all telemetry uses"),
     Microservice("PING", ping, "PING, addressed to the asker"),
-    Microservice("LOG_REQUEST_LIST", log_entries, "LOG_ENTRY with 0 logs", False),
-    Microservice("LOG_REQUEST_DATA", log_data, "LOG_DATA with 0 bytes", False),
-    Microservice("LOG_ERASE", log_erase, "a STATUSTEXT", False),
+    Microservice("LOG_REQUEST_LIST", _log_entries, "LOG_ENTRY with 0 logs", False),
+    Microservice("LOG_REQUEST_DATA", _log_data, "LOG_DATA with 0 bytes", False),
+    Microservice("LOG_ERASE", _log_erase, "a STATUSTEXT", False),
     Microservice(
         "FILE_TRANSFER_PROTOCOL", ftp, "a NAK with the fitting error: there are no files on board", False
     ),

@@ -91,8 +91,9 @@ def global_position_int(s: Snapshot) -> Message:
 
 def local_position_ned(s: Snapshot) -> Message:
     """LOCAL_POSITION_NED (32): position and velocity; a reading is taken at these float32 values."""
-    values = np.array(s.state.position + s.state.velocity, np.float32)
-    return mavlink.MAVLink_local_position_ned_message(s.time_boot_ms, *values.tolist())
+    return mavlink.MAVLink_local_position_ned_message(
+        s.time_boot_ms, *np.array(s.state.position + s.state.velocity, np.float32).tolist()
+    )
 
 
 def attitude(s: Snapshot) -> Message:
@@ -541,10 +542,8 @@ class Telemetry:
                 f"Interval refused: HEARTBEAT has at most {SLOWEST_HEARTBEAT_US:.0f} us and stays on"
             )
         rate = STREAM[message_id].rate_hz if interval_us == 0.0 else min(1e6 / interval_us, FASTEST_HZ)
-        self._rate_hz.pop(message_id, None)
-        self._next_s.pop(message_id, None)
-        if rate > 0.0:
-            self._rate_hz[message_id], self._next_s[message_id] = rate, _next_slot(now_s, rate)
+        self._rate_hz[message_id] = rate = max(rate, 0.0)
+        self._next_s[message_id] = _next_slot(now_s, rate) if rate else math.inf
         return ACCEPTED
 
     def interval_us(self, message_id: int) -> int:
@@ -552,7 +551,7 @@ class Telemetry:
         if message_id not in STREAM:
             return 0
         rate = self._rate_hz.get(message_id)
-        return -1 if rate is None else round(1e6 / rate)
+        return round(1e6 / rate) if rate else -1
 
     def build(self, message_id: int, now_s: float) -> Message | None:
         """Return one message as of now; None if the message is unknown or has no value yet."""

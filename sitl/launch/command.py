@@ -16,7 +16,7 @@ from link import cli
 from plume.outcome import outcome_text
 from plume.scenario import BUDGET_STEPS
 from sitl.launch.launcher import Flown, fly
-from sitl.launch.mission import Launch, RealVehicle, RouterChoice, check_connect, check_payload
+from sitl.launch.mission import Launch, RealVehicle, check_connect, check_payload
 from sitl.launch.processes import MissionFailed
 from sitl.launch.recording import RecordFiles, run_name, write_summary
 from sitl.launch.viewing import MissionPage
@@ -25,8 +25,6 @@ from sitl.script.options import FIELDS, blamed, script_for_vehicle, script_of
 from sitl.script.script import AgentPart, Script
 from sitl.uav.options import add_vehicle_arguments
 
-# Raises ValueError, with what is allowed, on a policy that cannot be flown.
-CheckPolicy = Callable[[str], object]
 RECORD_FILE = "FILE.mcap"  # what the recorder calls the file that --record names
 # The flags that the uav has to know, too.
 OF_THE_UAV = (
@@ -48,12 +46,13 @@ OF_THE_UAV = (
 
 def add_arguments(
     parser: argparse.ArgumentParser,
-    check_policy: CheckPolicy | None = None,
+    check_policy: Callable[[str], object] | None = None,
     policies: Callable[[], Iterable[str]] = tuple,
 ) -> None:
     """Add its flags.
 
-    `check_policy` refuses a policy before anything starts; without it the agent does when it has started.
+    `check_policy` refuses a policy before anything starts, by a ValueError that says what is allowed;
+    without it the agent does when it has started.
     `policies` returns the names that a shell completes.
     """
     parser.set_defaults(check_policy=check_policy)
@@ -177,7 +176,9 @@ def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> La
         instance=args.instance,
         sysid=args.sysid,
         uav_arguments=_words(given, *OF_THE_UAV),
-        router=RouterChoice(listen=args.listen, connect=args.connect, secure=args.secure),
+        listen=args.listen,
+        connect=args.connect,
+        secure=args.secure,
         real=real,
         record=record,
         log_level=args.log_level,

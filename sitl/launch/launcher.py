@@ -39,7 +39,7 @@ from sitl.launch.processes import (
 from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
-from sitl.launch.viewing import MissionPage
+from sitl.launch.viewing import NO_PAGE, MissionPage
 from sitl.launch.watchdog import LOOK_S, Watchdog
 from sitl.script.script import Cut, Expectation, Script
 
@@ -76,37 +76,47 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
     """
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
-        starting = ["uav"] if mission.router.connect else [ROUTER, "uav", "estimator", "agent"]
-        starting += [PAYLOAD] * bool(mission.real)
+        payload = [PAYLOAD] * bool(mission.real)
+        starting = ["uav" if mission.connect else "router, uav, estimator, agent", *payload]
         progress = stack.enter_context(Progress(mission.script.budget, ", ".join(starting)))
         processes = stack.enter_context(Processes(inbox))
         stack.callback(page.over, processes)
         relays: dict[str, Relay] = {}
 
         def join(endpoint: str) -> Bus:
-            secure = mission.router.secure
-            bus = Bus("mission", endpoint, mission.namespace, inbox, announced=False, secure=secure)
-            stack.enter_context(bus)
+            bus = stack.enter_context(
+                Bus(
+                    "mission",
+                    endpoint,
+                    mission.namespace,
+                    inbox,
+                    announced=False,
+                    secure=mission.secure,
+                )
+            )
             bus.subscribe(READING, BELIEF, STOP, HEALTH)
             return bus
 
-        if mission.router.connect:
-            bus = join(mission.router.connect)
+        if mission.connect:
+            bus = join(mission.connect)
             wait_s = mission.real.wait_s if mission.real else math.inf
             policy = await_services(bus, mission.namespace, progress.say, wait_s)
             mission = replace(mission, script=mission.script.changed({"agent.policy": policy}))
         endpoint = start_parts(processes, mission, relays, page, progress.say)
         if files:
             files.made = True
-        if not mission.router.connect:
+        if not mission.connect:
             bus = join(endpoint)
         for relay in relays.values():
             stack.callback(relay.close)
-        watched = [ROUTER, "uav", *SEARCHERS]
-        watched += [PAYLOAD] * bool(mission.real) + [RECORDER] * bool(mission.record)
-        now_s, say = time.monotonic(), progress.say
-        watchdog = Watchdog(watched, mission.patience_s, now_s, say, processes.tell_stacks)
-        disturbances = Disturbances(mission.script.events, processes, relays, watchdog, say)
+        watchdog = Watchdog(
+            [ROUTER, "uav", *SEARCHERS, *payload, *[RECORDER] * bool(mission.record)],
+            mission.patience_s,
+            time.monotonic(),
+            progress.say,
+            processes.tell_stacks,
+        )
+        disturbances = Disturbances(mission.script.events, processes, relays, watchdog, progress.say)
         return MissionWatch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()
 
 
@@ -114,7 +124,7 @@ def start_parts(
     processes: Processes,
     mission: Launch,
     relays: dict[str, Relay],
-    page: MissionPage,
+    page: MissionPage = NO_PAGE,
     say: Callable[[str], None] = print,
 ) -> str:
     """Start all parts that do not run elsewhere; returns the router's endpoint.
@@ -124,8 +134,8 @@ def start_parts(
     Raises MissionFailed if the router or the recorder cannot start.
     """
     script, real = mission.script, mission.real
-    connect, secured = mission.router.connect, secure_words(mission.router.secure)
-    endpoint = connect or processes.start_router(mission.router.listen, mission.router.secure)
+    connect, secured = mission.connect, secure_words(mission.secure)
+    endpoint = connect or processes.start_router(mission.listen, mission.secure)
     level = "debug" if mission.log_level == "debug" else "info"  # the launcher filters what it shows
     for part in sorted({event.part for event in script.events if isinstance(event, Cut)}):
         relays[part] = Relay(endpoint)
@@ -134,9 +144,9 @@ def start_parts(
         router = relays[part].endpoint if part in relays else endpoint
         return "--connect", router, "--namespace", mission.namespace, "--log-level", level, *secured
 
-    services = {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
-    if connect:
-        services = {}
+    services = (
+        {} if connect else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
+    )
     about = {
         "namespace": mission.namespace,
         "mission": script,
@@ -152,8 +162,9 @@ def start_parts(
     about_json = msgspec.json.encode(about).decode()
     recorder = None
     if mission.record:
-        words = (str(mission.record), *joining(RECORDER), "--about", about_json)
-        recorder = processes.start(RECORDER, "sitl", "record", *words)
+        recorder = processes.start(
+            RECORDER, "sitl", "record", str(mission.record), *joining(RECORDER), "--about", about_json
+        )
     page.start(processes, ("--connect", endpoint, *secured), about_json)
     for service, arguments in services.items():
         processes.start(service, service, *joining(service), *arguments)
@@ -162,8 +173,8 @@ def start_parts(
     page.await_start(say)
     uav_words = [*mission.uav_arguments, *joining("uav"), "-I", str(mission.instance)]
     if real:
-        words = ("--payload", real.payload, *real.payload_arguments, *joining(PAYLOAD))
-        processes.start(PAYLOAD, "sitl", "payload", *words)
+        measures = ("--payload", real.payload, *real.payload_arguments)
+        processes.start(PAYLOAD, "sitl", "payload", *measures, *joining(PAYLOAD))
         processes.start("uav", "sitl", "uav", "--vehicle", real.url, *uav_words, kind=FLYING)
     else:
         processes.start("uav", "sitl", "uav", *uav_words)
@@ -246,8 +257,10 @@ class MissionWatch:
         if heard.last is None or broken_off:
             if heard.landed and (how := "; ".join(heard.health["uav"].warnings)):
                 raise MissionFailed(how)
-            words = self._last_words.get("uav", "none")
-            raise MissionFailed(f"the uav landed before the search was over; its last words: {words}")
+            raise MissionFailed(
+                "the uav landed before the search was over; its last words: "
+                + self._last_words.get("uav", "none")
+            )
         return heard.last
 
     def _time_s(self, step: int) -> float:
@@ -297,7 +310,7 @@ class MissionWatch:
                 self._last_words[part] = line
                 if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or SHOWN.search(line):
                     self._progress.say(line)
-            case LivelinessChange(service, alive) if self._mission.router.connect and service in SEARCHERS:
+            case LivelinessChange(service, alive) if self._mission.connect and service in SEARCHERS:
                 if not alive:
                     self._gone.add(service)
                     self._progress.say(f"warning: the {service} is gone")
@@ -353,8 +366,8 @@ class MissionWatch:
                 self._progress.say("a pilot leads the vehicle: it is left to them")
                 return
             if heard.state == "searching" and not last.ceased and time.monotonic() >= call_at:
-                component = SEARCH if self._mission.real else AUTOPILOT
-                self._bus.publish(MAVLINK_IN, codec.pack(order(after, heard.system, component)))
+                call = order(after, heard.system, SEARCH if self._mission.real else AUTOPILOT)
+                self._bus.publish(MAVLINK_IN, codec.pack(call))
                 call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)
 

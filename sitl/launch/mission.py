@@ -21,16 +21,6 @@ USUAL = {"estimator": EstimatorPart(), "agent": AgentPart()}
 
 
 @dataclass(frozen=True, kw_only=True)
-class RouterChoice:
-    """The router of a mission."""
-
-    listen: str = "tcp/127.0.0.1:0"
-    # A router elsewhere, whose estimator and agent fly the mission; None: all are started here.
-    connect: str | None = None
-    secure: Path | None = None  # the folder of certificates; None: nothing is secured
-
-
-@dataclass(frozen=True, kw_only=True)
 class RealVehicle:
     """A real autopilot, and what measures on it."""
 
@@ -49,7 +39,10 @@ class Launch:
     sysid: int | None = None  # MAVLink system id; None: that of the instance, or of the real autopilot
     # The script's file and the flags that change it: the uav reads them itself.
     uav_arguments: Sequence[str] = ()
-    router: RouterChoice = RouterChoice()
+    listen: str = "tcp/127.0.0.1:0"  # of the router
+    # A router elsewhere, whose estimator and agent fly the mission; None: all are started here.
+    connect: str | None = None
+    secure: Path | None = None  # the folder of certificates; None: nothing is secured
     real: RealVehicle | None = None  # None: the simulated vehicle
     record: Path | None = None  # the MCAP file to record to
     log_level: str = "warning"
@@ -123,7 +116,7 @@ def estimator_arguments(mission: Launch) -> list[str]:
     script, part = mission.script, mission.script.estimator
     release = script.release() if mission.truth else None
     q, d, tau = (release.q, release.d, release.tau) if release else (None, None, None)
-    flags = {
+    flags: dict[str, Any] = {
         "--particles": part.particles,
         "--assume": part.assume,
         "--stop": part.criterion,
@@ -134,15 +127,15 @@ def estimator_arguments(mission: Launch) -> list[str]:
         "--lifetime": part.lifetime or tau,
         "--seed": derived_seed(script.seed, "estimator"),
         "--sysid": mission.system,
+        "--prior": [f"{name}={prior}" if prior else name for name, prior in part.prior.items()],
     }
-    priors = [f"{name}={prior}" if prior else name for name, prior in part.prior.items()]
-    return [*_words(flags), *(word for prior in priors for word in ("--prior", prior))]
+    return _words(flags)
 
 
 def agent_arguments(mission: Launch) -> list[str]:
     """Return the agent's flags."""
-    script, agent = mission.script, mission.script.agent
-    flags = {
+    script, agent, scripted = mission.script, mission.script.agent, mission.script.scripted()
+    flags: dict[str, Any] = {
         "--policy": None if agent.policy == "none" else agent.policy,
         "--budget": script.budget,
         "--headings": agent.headings,
@@ -150,10 +143,9 @@ def agent_arguments(mission: Launch) -> list[str]:
         "--measurements": agent.measurements,
         "--seed": derived_seed(script.seed, "agent"),
         "--sysid": mission.system,
+        "--waypoints": [_path(scripted, step) for step in sorted(scripted) if step - 1 not in scripted],
     }
-    scripted = script.scripted()
-    paths = [_path(scripted, step) for step in sorted(scripted) if step - 1 not in scripted]
-    return [*_words(flags), *(word for path in paths for word in ("--waypoints", path))]
+    return _words(flags)
 
 
 def _path(scripted: Mapping[int, tuple[float, float]], start: int) -> str:
@@ -164,4 +156,10 @@ def _path(scripted: Mapping[int, tuple[float, float]], start: int) -> str:
 
 
 def _words(flags: Mapping[str, Any]) -> list[str]:
-    return [word for flag, value in flags.items() if value is not None for word in (flag, str(value))]
+    pairs = [
+        (flag, str(each))
+        for flag, value in flags.items()
+        for each in (value if isinstance(value, list) else [value])
+        if each is not None
+    ]
+    return list(itertools.chain(*pairs))

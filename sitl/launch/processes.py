@@ -177,8 +177,7 @@ class Child:
         """Return whether it ends in time."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(timeout_s)
-            return True
-        return False
+        return self._process.returncode is not None
 
     def join(self) -> None:
         """Wait until it has ended and all its output has been passed on."""

@@ -60,5 +60,7 @@ class MissionPage:
             self._child.signal(signal.SIGTERM)
             if not self._child.wait(2 * STOP_TIMEOUT_S):
                 self._child.kill()
-                self._child.wait(STOP_TIMEOUT_S)
             self._child.join()
+
+
+NO_PAGE = MissionPage()  # it starts nothing

@@ -267,10 +267,8 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         fields = msgspec.structs.asdict(self.vehicle)
         del fields["after_stop"], fields["strict"]
         factor = self.speedup or 1.0
-        stream_s = STREAM_S * factor if self.vehicle.strict else math.inf
-        return VehicleConfig(
-            sysid, **{**fields, "silence_s": self.vehicle.silence_s * factor, "stream_s": stream_s}
-        )
+        fields["silence_s"] *= factor
+        return VehicleConfig(sysid, stream_s=STREAM_S * factor if self.vehicle.strict else math.inf, **fields)
 
     @property
     def expectations(self) -> list[Expectation]:
@@ -279,12 +277,12 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     def scripted(self) -> dict[int, Point]:
         """Return the scripted waypoints, by the step of the reading that each answers."""
-        path: dict[int, Point] = {}
-        for event in self.events:
-            if isinstance(event, Waypoints | Lawnmower):
-                assert event.step is not None
-                path.update(enumerate(event.path(), start=event.step))
-        return path
+        return {
+            step: point
+            for event in self.events
+            if isinstance(event, Waypoints | Lawnmower) and event.step is not None
+            for step, point in enumerate(event.path(), start=event.step)
+        }
 
     @property
     def budget(self) -> int:
@@ -324,10 +322,10 @@ def find(mission: str | Path) -> Path:
         os.stat(mission)
     except FileNotFoundError:
         near = did_you_mean(name, missions)
-        wanted = (
-            f"{f'{near} Wanted' if near else '; wanted'} a mission script, or one of {', '.join(missions)}"
-        )
-        raise BadInput(f"{mission}: no such file and no shipped mission{wanted}") from None
+        raise BadInput(
+            f"{mission}: no such file and no shipped mission{f'{near} Wanted' if near else '; wanted'} "
+            f"a mission script, or one of {', '.join(missions)}"
+        ) from None
     except OSError as error:
         raise BadInput(f"{mission}: {error.strerror}") from None
     return Path(mission)

@@ -64,8 +64,7 @@ class SimulatedClients:
         self._ports: list[Port] = []
         if bus is not None:
             publish, codec = bus.publish, Codec(self.system, COMPONENT)
-            on_bus = Port(lambda *said: publish(MAVLINK_OUT, codec.pack(*said)), self._telemetry())
-            self._ports.append(on_bus)
+            self._ports.append(Port(lambda *said: publish(MAVLINK_OUT, codec.pack(*said)), self._telemetry()))
         self._udp = UdpPorts(outs, self._log, self.system, COMPONENT, equipment.signing) if outs else None
         self._by_udp: dict[UdpPort, Port] = {}
         if self._udp:
