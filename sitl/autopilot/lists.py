@@ -113,8 +113,10 @@ class PlanService:
         if now_s < upload.heard_s + ACTION_S:
             return upload.ask(now_s)
         self._upload = None
-        what, seq = NAMES[upload.mission_type], len(upload.items)
-        return Reply([], f"{what} upload given up: no item {seq} for {ACTION_S:g} s")
+        return Reply(
+            [],
+            f"{NAMES[upload.mission_type]} upload given up: no item {len(upload.items)} for {ACTION_S:g} s",
+        )
 
     # ---- downloads: each request is answered by itself ----
 

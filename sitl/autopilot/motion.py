@@ -154,8 +154,7 @@ class Turn(NamedTuple):
 def turn(t_s: float, start_rad: float, target_rad: float, rate_radps: float) -> Turn:
     """Return the turn to a yaw, the shorter way round."""
     angle = wrapped(target_rad - start_rad)
-    end_s = t_s + abs(angle) / rate_radps
-    return Turn(t_s, start_rad, math.copysign(rate_radps, angle), end_s, target_rad)
+    return Turn(t_s, start_rad, math.copysign(rate_radps, angle), t_s + abs(angle) / rate_radps, target_rad)
 
 
 def wrapped(angle_rad: float) -> float:

@@ -19,7 +19,7 @@ FASTEST_MPS = 20.0  # highest speed that DO_CHANGE_SPEED may set, that of MPC_XY
 
 ABOVE_SEA = {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
 ABOVE_HOME = {mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT}
-FRAMES = ABOVE_SEA | ABOVE_HOME | {mavlink.MAV_FRAME_MISSION}
+MISSION_FRAMES = ABOVE_SEA | ABOVE_HOME | {mavlink.MAV_FRAME_MISSION}
 
 TAKEOFF, LAND = mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_NAV_LAND
 WAYPOINT, RETURN = mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH
@@ -145,7 +145,7 @@ def step(item: Item, count: int, config: VehicleConfig) -> MissionStep:
     command, (p1, p2, _, p4) = item.command, item.params
     if command not in FLOWN and command not in IGNORED:
         raise BadItem(mavlink.MAV_MISSION_UNSUPPORTED, f"command {command} is not supported")
-    if item.frame not in FRAMES or (command in PLACED and item.frame == mavlink.MAV_FRAME_MISSION):
+    if item.frame not in MISSION_FRAMES or (command in PLACED and item.frame == mavlink.MAV_FRAME_MISSION):
         raise BadItem(mavlink.MAV_MISSION_UNSUPPORTED_FRAME, f"frame {item.frame} is not supported")
     goes_on = bool(item.autocontinue)
     match command:
@@ -248,9 +248,8 @@ def check(item: Item, mission_type: int, count: int, config: VehicleConfig) -> N
 class FlightPlan:
     """A mission on board: its steps, the checksum of its items, the current step, and what has been done."""
 
-    def __init__(self, steps: tuple[MissionStep, ...] = (), number: int = 0) -> None:
-        self.steps, self.number = steps, number
-        self.current = 0
+    def __init__(self, steps: tuple[MissionStep, ...] = (), number: int = 0, current: int = 0) -> None:
+        self.steps, self.number, self.current = steps, number, current
         self.begun = self.finished = False
         self.reached: tuple[int, float] | None = None  # the step that was done last, and when, s
         self._jumps: Counter[int] = Counter()  # how often each jump was taken

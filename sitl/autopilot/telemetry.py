@@ -98,9 +98,8 @@ def local_position_ned(s: Snapshot) -> Message:
 
 def attitude(s: Snapshot) -> Message:
     """ATTITUDE (30): roll and pitch of the thrust, yaw and yaw rate; other rates are not simulated."""
-    state = s.state
     return mavlink.MAVLink_attitude_message(
-        s.time_boot_ms, state.roll, state.pitch, state.yaw, 0.0, 0.0, state.yaw_rate
+        s.time_boot_ms, s.state.roll, s.state.pitch, s.state.yaw, 0.0, 0.0, s.state.yaw_rate
     )
 
 
@@ -187,9 +186,8 @@ def highres_imu(s: Snapshot) -> Message:
 def altitude(s: Snapshot) -> Message:
     """ALTITUDE (141): above sea and above home, m. The ground is level, at home's altitude."""
     height = -s.state.position[2]
-    sea = s.altitude_m
     return mavlink.MAVLink_altitude_message(
-        round(s.state.time_s * 1e6), sea, sea, height, height, math.nan, math.nan
+        round(s.state.time_s * 1e6), s.altitude_m, s.altitude_m, height, height, math.nan, math.nan
     )
 
 
@@ -205,7 +203,7 @@ def position_target_local_ned(s: Snapshot) -> Message | None:
     )
 
 
-KNOWN = (
+ESTIMATED = (
     mavlink.ESTIMATOR_ATTITUDE
     | mavlink.ESTIMATOR_VELOCITY_HORIZ
     | mavlink.ESTIMATOR_VELOCITY_VERT
@@ -219,7 +217,7 @@ KNOWN = (
 
 def estimator_status(s: Snapshot) -> Message:
     """ESTIMATOR_STATUS (230): the position has no error, so no test ratio comes near its limit."""
-    return mavlink.MAVLink_estimator_status_message(round(s.state.time_s * 1e6), KNOWN, *[0.0] * 8)
+    return mavlink.MAVLink_estimator_status_message(round(s.state.time_s * 1e6), ESTIMATED, *[0.0] * 8)
 
 
 def quaternion(s: Snapshot) -> tuple[float, float, float, float]:

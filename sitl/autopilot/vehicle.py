@@ -28,7 +28,7 @@ from aircraft.state import (
 )
 from link.modes import Mode
 from sitl.autopilot import plan
-from sitl.autopilot.config import HOLD, LAND, RETURN, TERMINATE, VehicleConfig
+from sitl.autopilot.config import FENCE_HOLD, FENCE_LAND, FENCE_RETURN, FENCE_TERMINATE, VehicleConfig
 from sitl.autopilot.motion import Motion, Trajectory, fall, halt, tilt, turn, wrapped
 from sitl.autopilot.offboard import SAME_PLACE_M, Companion, clamped, facing, steered, wants_to_move
 from sitl.autopilot.plan import FlightPlan, Leg, MissionProgress, MissionStep
@@ -39,10 +39,10 @@ CRITICAL, EMERGENCY = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_EMERGE
 EMPTY = "battery empty"
 # What GF_ACTION does when the fence is left, and the mode that it changes to, if any.
 FENCE_ACTIONS: dict[int, tuple[Mode | None, str]] = {
-    HOLD: (Mode.HOLD, "holding"),
-    RETURN: (Mode.RETURN, "returning"),
-    LAND: (Mode.LAND, "landing"),
-    TERMINATE: (None, "motors stopped"),
+    FENCE_HOLD: (Mode.HOLD, "holding"),
+    FENCE_RETURN: (Mode.RETURN, "returning"),
+    FENCE_LAND: (Mode.LAND, "landing"),
+    FENCE_TERMINATE: (None, "motors stopped"),
 }
 
 
@@ -377,8 +377,7 @@ class Vehicle:
         number: the checksum of its items.
         """
         self.catch_up(t_s)
-        self.mission = FlightPlan(steps, number)
-        self.mission.current = current
+        self.mission = FlightPlan(steps, number, current)
         if self.mode is Mode.MISSION and not steps:
             self._say(WARNING, "Mission cleared: holding")
             self._enter(Mode.HOLD)
@@ -570,7 +569,7 @@ class Vehicle:
             mode, does = None, ""
         north, east, _ = self._motion.position
         self._say(CRITICAL, f"Fence breached at ({east:.2f}, {north:.2f}) m" + (does and f": {does}"))
-        if self.config.fence_action == TERMINATE:
+        if self.config.fence_action == FENCE_TERMINATE:
             self._drop()
         elif mode:
             self._failsafe = True

@@ -116,8 +116,7 @@ def run(args: argparse.Namespace) -> int:
     files = None if args.no_record else RecordFiles(args.record or summary.with_suffix(".mcap"))
     if files:
         files.prepare(args.force)
-    attended = sys.stderr.isatty() and not args.json
-    page = MissionPage(wanted=args.view, opened=args.open, attended=attended)
+    page = MissionPage(wanted=args.view, opened=args.open, attended=sys.stderr.isatty() and not args.json)
     try:
         flown = fly(_launch(args, script, files.path if files else None), files, page)
     except KeyboardInterrupt:

@@ -7,7 +7,6 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 
 from aircraft.operator import AUTOPILOT
-from link.bus.frames import Frame
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.bus.messages import Belief, Health, Stop
@@ -18,7 +17,7 @@ from scene.follow.telemetry import LOCAL, frames
 from sitl.launch.processes import MissionFailed
 
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
-SAY_AFTER_S = 1.0  # how long services elsewhere may be missing until people are told
+TOLD_AFTER_S = 1.0  # how long services elsewhere may be missing until people are told
 MOST_READINGS = 100_000  # readings that wait for their beliefs; a stranger could publish without end
 
 
@@ -37,7 +36,7 @@ def await_services(bus: Bus, namespace: str, say: Callable[[str], None], wait_s:
     while missing := SEARCHERS - (alive & set(health)):
         if time.monotonic() >= until_s:
             raise MissionFailed(f"no {' and '.join(sorted(missing))} on {namespace} in {wait_s:g} s (--wait)")
-        item = bus.receive(SAY_AFTER_S)
+        item = bus.receive(TOLD_AFTER_S)
         match item:
             case None if not told:
                 say(f"waiting for {' and '.join(sorted(missing))} on {namespace}")
@@ -131,14 +130,14 @@ class MissionHeard:
     def _follow_down(self, payload: bytes) -> None:
         """Note where the vehicle stands, m from home."""
         with contextlib.suppress(BadFrame):
-            for frame, fields in frames(payload, {*PLACING, LOCAL}, self._is_vehicle):
+            vehicle = self.system, AUTOPILOT
+            for frame, fields in frames(
+                payload, {*PLACING, LOCAL}, lambda frame: (frame.system, frame.component) == vehicle
+            ):
                 if frame.message_id in PLACING:
                     self._area.take(frame.message_id, fields)
                 elif (place := self._area.place(fields)) and (self._area.on_ground or place[2] < ON_GROUND_M):
                     self.landed_at = place[:2]
-
-    def _is_vehicle(self, frame: Frame) -> bool:
-        return frame.system == self.system and frame.component == AUTOPILOT
 
 
 class HeardTrace:

@@ -99,8 +99,9 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
 
         if mission.connect:
             bus = join(mission.connect)
-            wait_s = mission.real.wait_s if mission.real else math.inf
-            policy = await_services(bus, mission.namespace, progress.say, wait_s)
+            policy = await_services(
+                bus, mission.namespace, progress.say, mission.real.wait_s if mission.real else math.inf
+            )
             mission = replace(mission, script=mission.script.changed({"agent.policy": policy}))
         endpoint = start_parts(processes, mission, relays, page, progress.say)
         if files:
@@ -396,14 +397,13 @@ class MissionWatch:
                     f"warning: events[{number}] of step {event.step} did not happen: "
                     f"the search ended at step {last.step}"
                 )
-        searchers = [heard.health[service] for service in ("estimator", "agent") if service in heard.health]
         result = outcome(
             script.seed,
             script.agent.policy,
             self._mission.truth,
             points,
             last.ceased,
-            sum(health.compute_s for health in searchers),
+            sum(heard.health[each].compute_s for each in ("estimator", "agent") if each in heard.health),
             last.assume,
             last.stop,
             script.world,

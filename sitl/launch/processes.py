@@ -136,6 +136,7 @@ class Child:
             process_group=0,
             env=environment(),
         )
+        self.pid = self._process.pid
         self._thread = threading.Thread(target=self._watch, name=part, daemon=True)
         self._thread.start()
 
@@ -161,17 +162,10 @@ class Child:
         """Send it a signal."""
         self._process.send_signal(number)  # does nothing if it has ended
 
-    def tell_stacks(self) -> None:
-        """Ask it, which hangs, to write where its threads are.
-
-        They are shown at once; of one that is stopped once it continues.
-        """
-        ask_for_stacks(self._process.pid)
-
     def kill(self) -> None:
         """Kill it and its children."""
         with contextlib.suppress(OSError):  # already gone
-            os.killpg(self._process.pid, signal.SIGKILL)
+            os.killpg(self.pid, signal.SIGKILL)
 
     def wait(self, timeout_s: float) -> bool:
         """Return whether it ends in time."""
@@ -271,9 +265,9 @@ class Processes:
         del self._children[part]
 
     def tell_stacks(self, part: str) -> None:
-        """Let a part of ours that hangs print where its threads are."""
+        """Let a part of ours that hangs print where its threads are; a stopped one does once it continues."""
         if child := self._children.get(part):
-            child.tell_stacks()
+            ask_for_stacks(child.pid)
 
     def kill(self, part: str) -> None:
         """Kill a part on purpose: its end is not reported."""
@@ -340,5 +334,5 @@ def _await_last_task(child: Child) -> bool:
     if child.wait(child.kind.last_task_s):
         return True
     print(f"warning: the {child.part} hangs and is killed: {child.kind.if_killed}", file=sys.stderr)
-    child.tell_stacks()
+    ask_for_stacks(child.pid)
     return child.wait(STACKS_S)

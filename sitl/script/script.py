@@ -20,7 +20,7 @@ from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario, draw
 from plume.world import World
 from plume.worlds import AS_MODELLED, WORLDS, check
-from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.config import STREAM_S, VehicleConfig
 from sitl.script.typed_yaml import Document
 
 
@@ -46,8 +46,6 @@ Point = tuple[Coordinate, Coordinate]
 # The agent receives them in one command-line argument, which the system limits to 128 kB.
 MOST_WAYPOINTS = 1000
 OLD_WORDS = {"pause": "hold", "abort": "return"}  # what older scripts call these events
-# Real time after which the stream of a companion's setpoints is lost, if strict: PX4's COM_OF_LOSS_T.
-STREAM_S = 1.0
 Expectation = Literal[
     "ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"
 ]

@@ -51,8 +51,9 @@ class Document:
             raise
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
-            line = mark.line + 1 if mark else 1
-            raise self._at(line, f"not valid YAML: {error.problem or error.context}") from None
+            raise self._at(
+                mark.line + 1 if mark else 1, f"not valid YAML: {error.problem or error.context}"
+            ) from None
         except (YAMLError, RecursionError, ValueError) as error:
             raise BadInput(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
         except LookupError:  # such as `!!bool perhaps`

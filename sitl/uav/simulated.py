@@ -16,7 +16,7 @@ from aircraft.search.command import Orders
 from aircraft.search.handling import Handling
 from aircraft.search.search import Search
 from aircraft.search.uav import Equipment, Uav
-from aircraft.search.udp import UdpPort, UdpPorts
+from aircraft.search.udp import UdpPorts
 from aircraft.state import Arrived, Result, denied, not_now
 from link.bus.keys import MAVLINK_OUT
 from link.bus.mavlink import Codec, Message, unpack
@@ -24,14 +24,14 @@ from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival
 from link.modes import Mode
 from plume.world import World
+from sitl.autopilot.config import STREAM_S
 from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol
 from sitl.autopilot.setpoint import GLOBAL, LOCAL
 from sitl.autopilot.telemetry import Snapshot, Telemetry
 from sitl.autopilot.vehicle import Vehicle
 
-STREAM_S = 1.0  # real time after which a client's stream of setpoints has ended: PX4's COM_OF_LOSS_T
-CHANGES = {"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}
-SETPOINTS = {LOCAL, GLOBAL}
+MODE_MESSAGES = {"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}
+SETPOINT_MESSAGES = {LOCAL, GLOBAL}
 
 Sender = tuple[int, int]  # system and component id
 
@@ -66,10 +66,10 @@ class SimulatedClients:
             publish, codec = bus.publish, Codec(self.system, COMPONENT)
             self._ports.append(Port(lambda *said: publish(MAVLINK_OUT, codec.pack(*said)), self._telemetry()))
         self._udp = UdpPorts(outs, self._log, self.system, COMPONENT, equipment.signing) if outs else None
-        self._by_udp: dict[UdpPort, Port] = {}
+        by_udp = self._udp.ports if self._udp else []
+        self._by_udp = {port: Port(port.send, self._telemetry()) for port in by_udp}
+        self._ports += self._by_udp.values()
         if self._udp:
-            self._by_udp = {port: Port(port.send, self._telemetry()) for port in self._udp.ports}
-            self._ports += self._by_udp.values()
             self._udp.ring(lambda: equipment.inbox.put(None))  # `serve` takes what has come
 
     def _telemetry(self) -> Telemetry:
@@ -137,7 +137,7 @@ class SimulatedClients:
         with self._handling.of(message):
             refused = self._protocol.refused.total()
             answers = self._asked.receive(message, self._clock.now_s(), whence, port.telemetry)
-            if message.get_type() in SETPOINTS:
+            if message.get_type() in SETPOINT_MESSAGES:
                 self._clock.heard()
             if self._protocol.refused.total() > refused:
                 self._log.tally.refuse("waypoint")
@@ -218,13 +218,13 @@ class Asked:
             return []
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
         who = named(sender, whence)
-        if kind in SETPOINTS:
+        if kind in SETPOINT_MESSAGES:
             self._streams[sender] = self._clock()
             if self._search.leads:
                 return self._protocol.refuse_setpoint(
                     denied("Waypoint refused: the search leads, HOLD stops it", "not leading"), t_s
                 )
-        if kind not in CHANGES:
+        if kind not in MODE_MESSAGES:
             return self._protocol.receive(message, t_s, streams)
         before = self._vehicle.mode, self._vehicle.armed
         if _asks_offboard(message) and self._search.under_way and not self._search.found:
@@ -252,12 +252,8 @@ class Asked:
 
     def _is_streaming(self, sender: Sender | None) -> bool:
         """Whether a client, or with None any client, streams setpoints: it then leads in OFFBOARD."""
-        heard_s = (
-            max(self._streams.values(), default=-math.inf)
-            if sender is None
-            else self._streams.get(sender, -math.inf)
-        )
-        return self._clock() - heard_s <= STREAM_S
+        heard_s = [at_s for client, at_s in self._streams.items() if sender in (None, client)]
+        return self._clock() - max(heard_s, default=-math.inf) <= STREAM_S
 
 
 def _asks_offboard(message: Message) -> bool:
