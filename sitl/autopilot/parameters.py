@@ -217,13 +217,15 @@ class Parameters:
             reason = self.change(parameter.name, value, request.t_s)
         return Reply([self._param(parameter)], reason and f"{parameter.name} refused: {reason}")
 
-    def _param(self, each: Parameter) -> Message:
-        return _param_value(each.name, each.pack(self.value(each)), each.kind, INDEX[each.name])
+    def _param(self, parameter: Parameter) -> Message:
+        name, value = parameter.name, parameter.pack(self.value(parameter))
+        return _param_value(name, value, parameter.kind, INDEX[name])
 
     def _hash(self) -> Message:
         named = (each.name.encode() + each.pack(self.value(each)) for each in PARAMETERS)
-        number = struct.pack("<I", crc32(b"".join(named)))
-        return _param_value(HASH, number, mavlink.MAV_PARAM_TYPE_UINT32, NO_INDEX)
+        return _param_value(
+            HASH, struct.pack("<I", crc32(b"".join(named))), mavlink.MAV_PARAM_TYPE_UINT32, NO_INDEX
+        )
 
 
 def _param_value(name: str, value: bytes, kind: int, index: int) -> Message:
