@@ -22,7 +22,7 @@ from link.bus.mavlink import unpack_reading
 from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus
 from sitl.launch.launcher import start_parts
-from sitl.launch.mission import Launch, RouterChoice
+from sitl.launch.mission import Launch
 from sitl.launch.processes import Processes
 from sitl.script.script import Script
 
@@ -43,7 +43,7 @@ def fly(seed: int, policy: str, particles: int, secure: Path | None = None) -> l
             Launch(
                 script=script,
                 uav_arguments=("--seed", str(seed), "--speedup", "0"),
-                router=RouterChoice(secure=secure),
+                secure=secure,
             ),
             {},
         )

@@ -34,8 +34,10 @@ def main(prog: str = "python -m sitl", arguments: list[str] | None = None) -> in
     if not first or first.endswith(SCRIPTS) or (first.startswith("-") and first not in ("-h", "--help")):
         words = ["fly", *words]
     if words[0] not in COMMANDS:
-        about = "Simulated flights to a gas leak. Without a command: fly, with its defaults."
-        parser = cli.Parser(prog=prog, description=about)
+        parser = cli.Parser(
+            prog=prog,
+            description="Simulated flights to a gas leak. Without a command: fly, with its defaults.",
+        )
         cli.front(parser, {name: command.does for name, command in COMMANDS.items()}).parse_args(words[:1])
     return cli.start(f"{prog} {words[0]}", COMMANDS[words[0]], words[1:])
 

@@ -35,10 +35,9 @@ from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH
 from link.bus.messages import Belief
 from link.bus.session import Arrival, Bus
-from sitl.launch.child import environment
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
-from sitl.script.events import Cut, Kill
-from sitl.script.script import Script
+from sitl.launch.processes import environment
+from sitl.script.script import Cut, Kill, Script
 
 SPEEDUP, SLOW_SPEEDUP = 20.0, 4.0
 """The second where packets are dropped: TCP's waits do not shrink with the time of the mission."""

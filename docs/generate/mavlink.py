@@ -13,12 +13,11 @@ from link.modes import Mode
 from sitl.autopilot.commands import COMMANDS, REQUESTED
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.lists import ACTION_S, MOST_ITEMS, RETRY_S
-from sitl.autopilot.messages import FLIGHT_SW_VERSION
 from sitl.autopilot.parameters import PARAMETERS, REAL, Parameters
 from sitl.autopilot.plan import FLOWN, IGNORED
 from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.services import REFUSED, REFUSED_ONCE
-from sitl.autopilot.telemetry import STREAMS
+from sitl.autopilot.telemetry import FLIGHT_SW_VERSION, STREAMS
 from sitl.autopilot.vehicle import Vehicle
 
 WIDTH = 148

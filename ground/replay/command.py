@@ -227,7 +227,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from ground.replay.player import replay
     from ground.replay.source import BadSource, find
-    from sitl.launch.child import MissionFailed
+    from sitl.launch.processes import MissionFailed
 
     try:
         source, rules = find(args, _given(args, READING_FLAGS), _given(args, FILTER_FLAGS))

@@ -18,8 +18,7 @@ from link.bus.keys import BELIEF, HEALTH, READING, RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.record.record import Entry
-from sitl.launch.child import Ended, LogLine, raise_for
-from sitl.launch.processes import Processes, secure_words
+from sitl.launch.processes import Ended, LogLine, Processes, raise_for, secure_words
 from sitl.launch.progress import Progress, pace
 
 ANSWER_TIMEOUT_S = 10.0  # longest wait for an answer, s of real time, or three times the longest recorded one

@@ -15,12 +15,12 @@ from ground.tlog import flight
 from ground.tlog.log import FlightError
 from link.bus.keys import HEALTH, MAVLINK_OUT, READING
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
+from link.cli import BadInput
 from link.record.reader import RecordError, is_record, read
 from link.record.record import Entry
 from plume import sensor
 from plume.worlds import AS_MODELLED
 from sitl.script import script
-from sitl.script.typed_yaml import FileError
 
 # The keys that a vehicle publishes on, by their names in a log.
 VEHICLE_KEYS = {
@@ -165,7 +165,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
             area_m=chosen.get("area"),
             plume=world,
         )
-    except (FlightError, FileError) as error:
+    except (FlightError, BadInput) as error:
         raise BadSource(str(error)) from None
     known: dict[str, Any] = {}
     if world:

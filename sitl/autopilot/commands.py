@@ -18,8 +18,8 @@ from sitl.autopilot.vehicle import Vehicle
 
 FORCE = 21196.0  # MAVLink's magic number: as param 2 it forces a disarm in the air
 TAKE_OFF_WITHIN_M = 0.1  # a take-off so little below the lowest is raised without a word, as in PX4
+# The parameter that MAV_CMD_DO_CHANGE_SPEED (178) changes, by its SPEED_TYPE.
 SPEEDS = {0.0: "MPC_XY_CRUISE", 1.0: "MPC_XY_CRUISE", 2.0: "MPC_Z_VEL_MAX_UP", 3.0: "MPC_Z_VEL_MAX_DN"}
-"""The parameter that MAV_CMD_DO_CHANGE_SPEED (178) changes, by its SPEED_TYPE."""
 UNCHANGED = -1.0  # as a speed or as the number of an item: leave it as it is
 
 
@@ -117,12 +117,11 @@ def _take_off(request: CommandRequest, p: Params) -> Result:
 
 
 def _reposition(request: CommandRequest, p: Params) -> Result:
-    config = request.vehicle.config
     if p.frame not in ABOVE_SEA | ABOVE_HOME:
         return denied(f"Go-to refused: frame {p.frame} is not global")
     north, east, down = request.vehicle.state(request.t_s).position
     if math.isfinite(p.lat_deg) and math.isfinite(p.lon_deg):
-        north, east = config.local(p.lat_deg, p.lon_deg)
+        north, east = request.vehicle.config.local(p.lat_deg, p.lon_deg)
     if math.isfinite(p.alt_m):
         down = -_above_home(request, p)
     yaw_rad = p.p4 if math.isfinite(p.p4) else None
@@ -134,10 +133,9 @@ def _above_home(request: CommandRequest, p: Params) -> float:
 
 
 def _change_speed(request: CommandRequest, p: Params) -> Result:
-    name = SPEEDS.get(p.p1)
-    if name is None:
+    if p.p1 not in SPEEDS:
         return denied(f"Speed refused: param 1 is {p.p1:g}, allowed is 0 to 3")
-    reason = "" if p.p2 == UNCHANGED else request.parameters.change(name, p.p2, request.t_s)
+    reason = "" if p.p2 == UNCHANGED else request.parameters.change(SPEEDS[p.p1], p.p2, request.t_s)
     return denied(f"Speed refused: {reason}") if reason else ACCEPTED
 
 
@@ -153,8 +151,8 @@ def _start_mission(request: CommandRequest, p: Params) -> Result:
 
 
 def _set_current(request: CommandRequest, p: Params) -> Result:
-    seq = request.vehicle.mission.current if p.p1 == UNCHANGED else int(p.p1)
-    return request.vehicle.set_current(request.t_s, seq)
+    vehicle = request.vehicle
+    return vehicle.set_current(request.t_s, vehicle.mission.current if p.p1 == UNCHANGED else int(p.p1))
 
 
 def _pause(request: CommandRequest, p: Params) -> Result:
@@ -174,14 +172,13 @@ class OnRequest(NamedTuple):
 
 
 def _protocol_version(_number: int, _streams: Telemetry) -> list[Message]:
-    no_hash = [0] * 8
     return [
         ProtocolVersion(
             version=200,
             min_version=100,
             max_version=200,
-            spec_version_hash=no_hash,
-            library_version_hash=no_hash,
+            spec_version_hash=[0] * 8,
+            library_version_hash=[0] * 8,
         )
     ]
 
@@ -238,6 +235,7 @@ def _set_interval(request: CommandRequest, p: Params) -> Result:
     return request.streams.set_interval(int(p.p1), p.p2, request.t_s) if request.streams else UNSUPPORTED
 
 
+# All others are unsupported.
 COMMANDS = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: KnownCommand(
         "arms and disarms; in the air only with param 2 = 21196, and the vehicle falls", _arm, 1
@@ -288,4 +286,3 @@ COMMANDS = {
         "HOME_POSITION", partial(_send, message_id=mavlink.MAVLINK_MSG_ID_HOME_POSITION)
     ),
 }
-"""All others are unsupported."""

@@ -9,8 +9,10 @@ from plume.geodesy import to_local
 from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, NorthEast, Rally
 from sitl.autopilot.motion import Limits
 
-NO_ACTION, HOLD, RETURN, TERMINATE, LAND = 0, 2, 3, 4, 5  # the values of `fence_action`; 1 only warns
+# The values of `fence_action`; 1 only warns.
+FENCE_IGNORED, FENCE_HOLD, FENCE_RETURN, FENCE_TERMINATE, FENCE_LAND = 0, 2, 3, 4, 5
 GLOBAL_STEP_M = 0.02  # a little more than 1e-7 degrees, MAVLink's resolution of latitude and longitude
+STREAM_S = 1.0  # real time after which a companion's stream of setpoints has ended: PX4's COM_OF_LOSS_T
 
 
 @dataclass(frozen=True)
@@ -36,19 +38,17 @@ class VehicleConfig(AircraftConfig):
     disarm_preflight_s: float = 10.0  # time after arming without a take-off until the motors stop
     endurance_s: float = 1800.0  # how long the battery lasts with the motors on
     fence: Fence = NO_FENCE
-    fence_action: int = HOLD  # what is done when the fence is left: PX4's GF_ACTION
+    fence_action: int = FENCE_HOLD  # what is done when the fence is left: PX4's GF_ACTION
     rally: Rally = NO_RALLY  # where else than at home a return may end
 
     def __post_init__(self) -> None:
-        """Check every range."""
         self._check("sysid", 1 <= self.sysid <= 255, "1 to 255")
-        bounds = {
-            "home_lat_deg": 90.0,
-            "home_lon_deg": 180.0,
-            "home_heading_deg": 360.0,
-            "home_alt_m": 10_000.0,
-        }
-        for name, bound in bounds.items():
+        for name, bound in (
+            ("home_lat_deg", 90.0),
+            ("home_lon_deg", 180.0),
+            ("home_heading_deg", 360.0),
+            ("home_alt_m", 10_000.0),
+        ):
             self._check(name, abs(getattr(self, name)) <= bound, f"-{bound:g} to {bound:g}")
         for name in (
             "area_m",
@@ -61,8 +61,11 @@ class VehicleConfig(AircraftConfig):
         ):
             self._check(name, 0.0 < getattr(self, name) < math.inf, "a finite number above 0")
         for name in ("takeoff_altitude_m", "return_altitude_m"):
-            allowed = f"above 0 and up to the ceiling, {self.ceiling_m:g}"
-            self._check(name, 0.0 < getattr(self, name) <= self.ceiling_m, allowed)
+            self._check(
+                name,
+                0.0 < getattr(self, name) <= self.ceiling_m,
+                f"above 0 and up to the ceiling, {self.ceiling_m:g}",
+            )
         self._check("fence_action", self.fence_action in range(6), "0 to 5")
         for name in ("silence_s", "stream_s", "disarm_landed_s", "disarm_preflight_s", "endurance_s"):
             self._check(name, getattr(self, name) > 0.0, "above 0, inf for never")
@@ -91,15 +94,14 @@ class VehicleConfig(AircraftConfig):
     @property
     def guards(self) -> bool:
         """True if there is a fence and leaving it has a consequence."""
-        return bool(self.fence.shapes) and self.fence_action != NO_ACTION
+        return bool(self.fence.shapes) and self.fence_action != FENCE_IGNORED
 
     def outside(self, position: Ned, fence: bool = True) -> tuple[str, str] | None:
         """Return (kind of reason, reason) if a position is outside the area, the altitudes or the fence."""
-        if outside := super().outside(position):
-            return outside
-        if fence and (reason := self.fence_refusal(position)):
+        outside = super().outside(position)
+        if outside is None and fence and (reason := self.fence_refusal(position)):
             return "outside the fence", reason
-        return None
+        return outside
 
     def fence_refusal(self, position: Ned) -> str:
         """Return why the fence refuses a position; nothing if it does not."""

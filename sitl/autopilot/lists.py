@@ -11,13 +11,14 @@ from functools import partial
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.state import ZERO
 from link.bus.mavlink import Message
 from sitl.autopilot import plan
-from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, Rally
-from sitl.autopilot.messages import Snapshot, mission_current
+from sitl.autopilot.fence import Fence, Rally
 from sitl.autopilot.parameters import crc32
 from sitl.autopilot.plan import NOT_GIVEN, BadItem, Item
 from sitl.autopilot.services import Microservice, Reply, Request
+from sitl.autopilot.telemetry import Snapshot, mission_current
 from sitl.autopilot.vehicle import Vehicle
 
 RETRY_S = 0.25  # real time after which an item is asked for again: PX4's value; clients live in real time
@@ -37,7 +38,6 @@ class Upload:
     """An upload under way: who sends which list, and the items so far."""
 
     def __init__(self, request: Request) -> None:
-        """Begin without items, on a MISSION_COUNT."""
         message = request.message
         self.partner, self.link = request.asker, request.streams  # stations often share their ids
         self.mission_type, self.count = message.mission_type, message.count
@@ -53,50 +53,52 @@ class Upload:
     def ask(self, now_s: float) -> Reply:
         """Return the request for the next item."""
         self.asked_s = now_s
-        if self.floats:
-            message = mavlink.MAVLink_mission_request_message
-        else:
-            message = mavlink.MAVLink_mission_request_int_message
-        return Reply([message(*self.partner, len(self.items), self.mission_type)])
+        form = (
+            mavlink.MAVLink_mission_request_message
+            if self.floats
+            else mavlink.MAVLink_mission_request_int_message
+        )
+        return Reply([form(*self.partner, len(self.items), self.mission_type)])
 
 
 class PlanService:
-    """The lists on board of one vehicle. An upload that fails or ends half-way changes nothing."""
+    """The lists on board of one vehicle. An upload that fails or ends half-way changes nothing.
+
+    The clock is real time, s.
+    """
 
     def __init__(self, vehicle: Vehicle, clock: Callable[[], float] = time.monotonic) -> None:
-        """Load the vehicle's mission, fence and rally points. `clock` is real time, s."""
         self._vehicle, self._clock = vehicle, clock
         self._items: dict[int, Items] = dict.fromkeys(MOST_ITEMS, ())
         self._upload: Upload | None = None
         self._last: Upload | None = None  # the last upload that was accepted
-        rows = (
-            ("MISSION_REQUEST_LIST", self._count, "MISSION_COUNT"),
-            ("MISSION_REQUEST_INT", self._item, "MISSION_ITEM_INT as it was uploaded"),
-            ("MISSION_REQUEST", self._item, "MISSION_ITEM, with floats"),
-            (
-                "MISSION_COUNT",
-                self._begin,
-                "MISSION_REQUEST_INT of the first item; with 0 items the list is cleared",
-            ),
-            (
-                "MISSION_ITEM_INT",
-                self._take,
-                "the request of the next item, or MISSION_ACK; a bad item ends the upload",
-            ),
-            ("MISSION_ITEM", self._take, "the same; from then on items are requested by MISSION_REQUEST"),
-            ("MISSION_ACK", self._end, "nothing; OPERATION_CANCELLED ends an upload"),
-            ("MISSION_CLEAR_ALL", self._clear, "MISSION_ACK; type 255 clears all three lists"),
-            (
-                "MISSION_SET_CURRENT",
-                self._set_current,
-                "MISSION_CURRENT; of an item that is not there MISSION_ACK",
-            ),
-            ("MISSION_WRITE_PARTIAL_LIST", _no_part, "MISSION_ACK: unsupported"),
-            ("MISSION_REQUEST_PARTIAL_LIST", _no_part, "MISSION_ACK: unsupported"),
-        )
         self.services = tuple(
             Microservice(name, partial(_answered, answer), says, answer is not _no_part)
-            for name, answer, says in rows
+            for name, answer, says in (
+                ("MISSION_REQUEST_LIST", self._count, "MISSION_COUNT"),
+                ("MISSION_REQUEST_INT", self._item, "MISSION_ITEM_INT as it was uploaded"),
+                ("MISSION_REQUEST", self._item, "MISSION_ITEM, with floats"),
+                (
+                    "MISSION_COUNT",
+                    self._begin,
+                    "MISSION_REQUEST_INT of the first item; with 0 items the list is cleared",
+                ),
+                (
+                    "MISSION_ITEM_INT",
+                    self._take,
+                    "the request of the next item, or MISSION_ACK; a bad item ends the upload",
+                ),
+                ("MISSION_ITEM", self._take, "the same; from then on items are requested by MISSION_REQUEST"),
+                ("MISSION_ACK", self._end, "nothing; OPERATION_CANCELLED ends an upload"),
+                ("MISSION_CLEAR_ALL", self._clear, "MISSION_ACK; type 255 clears all three lists"),
+                (
+                    "MISSION_SET_CURRENT",
+                    self._set_current,
+                    "MISSION_CURRENT; of an item that is not there MISSION_ACK",
+                ),
+                ("MISSION_WRITE_PARTIAL_LIST", _no_part, "MISSION_ACK: unsupported"),
+                ("MISSION_REQUEST_PARTIAL_LIST", _no_part, "MISSION_ACK: unsupported"),
+            )
         )
 
     def next_s(self) -> float:
@@ -111,8 +113,10 @@ class PlanService:
         if now_s < upload.heard_s + ACTION_S:
             return upload.ask(now_s)
         self._upload = None
-        what, seq = NAMES[upload.mission_type], len(upload.items)
-        return Reply([], f"{what} upload given up: no item {seq} for {ACTION_S:g} s")
+        return Reply(
+            [],
+            f"{NAMES[upload.mission_type]} upload given up: no item {len(upload.items)} for {ACTION_S:g} s",
+        )
 
     # ---- downloads: each request is answered by itself ----
 
@@ -120,8 +124,8 @@ class PlanService:
         mission_type = request.message.mission_type
         if mission_type not in self._items:
             raise BadItem(mavlink.MAV_MISSION_INVALID, f"List refused: type {mission_type} is not 0, 1 or 2")
-        count = len(self._items[mission_type])
-        return Reply([mavlink.MAVLink_mission_count_message(*request.asker, count, mission_type)])
+        items = self._items[mission_type]
+        return Reply([mavlink.MAVLink_mission_count_message(*request.asker, len(items), mission_type)])
 
     def _item(self, request: Request) -> Reply:
         seq, mission_type = request.message.seq, request.message.mission_type
@@ -129,8 +133,8 @@ class PlanService:
         if not 0 <= seq < len(items):
             raise BadItem(mavlink.MAV_MISSION_INVALID_SEQUENCE, f"No item {seq}: the list has {len(items)}")
         item = items[seq]
-        current = mission_type == MISSION and self._vehicle.mission.current == seq
-        head = seq, item.frame, item.command, int(current), item.autocontinue, *item.params
+        current = int(mission_type == MISSION and self._vehicle.mission.current == seq)
+        head = seq, item.frame, item.command, current, item.autocontinue, *item.params
         form, x, y = mavlink.MAVLink_mission_item_int_message, item.x, item.y
         if request.message.get_type() == "MISSION_REQUEST":
             form = mavlink.MAVLink_mission_item_message
@@ -142,8 +146,8 @@ class PlanService:
     def _begin(self, request: Request) -> Reply:
         upload = Upload(request)
         if self._upload and not self._upload.is_from(request):
-            who = "/".join(map(str, self._upload.partner))
-            raise BadItem(mavlink.MAV_MISSION_ERROR, f"Upload refused: {who} is uploading")
+            system, component = self._upload.partner
+            raise BadItem(mavlink.MAV_MISSION_ERROR, f"Upload refused: {system}/{component} is uploading")
         if upload.mission_type not in self._items:
             raise BadItem(
                 mavlink.MAV_MISSION_INVALID, f"Upload refused: type {upload.mission_type} is not 0, 1 or 2"
@@ -199,14 +203,15 @@ class PlanService:
 
     def _load(self, mission_type: int, items: Items, t_s: float, current: int = 0) -> None:
         """Load a list into the vehicle; raises BadItem if it does not fit."""
-        vehicle, config, number = self._vehicle, self._vehicle.config, checksum(items)
+        vehicle, config = self._vehicle, self._vehicle.config
+        number = crc32(b"".join(item.packed for item in items))  # PX4's id of a list; 0 of an empty one
         if mission_type == FENCE:
-            fence = plan.fence(items, number, config) if items else NO_FENCE
+            fence = plan.fence(items, number, config)
             self._check_fence(fence, t_s)
             vehicle.configure(t_s, dataclasses.replace(config, fence=fence))
         elif mission_type == RALLY:
-            rally = Rally(tuple(plan.place(item, config) for item in items), number) if items else NO_RALLY
-            vehicle.configure(t_s, dataclasses.replace(config, rally=rally))
+            places = tuple(plan.place(item, config) for item in items)
+            vehicle.configure(t_s, dataclasses.replace(config, rally=Rally(places, number)))
         elif (
             number != vehicle.mission.number or not items
         ):  # as in PX4, the same mission again changes nothing
@@ -217,7 +222,7 @@ class PlanService:
         """Refuse a fence that home or a vehicle in flight lies outside of, as PX4 does."""
         state = self._vehicle.state(t_s)
         flies = state.armed and state.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
-        if not fence.allows((0.0, 0.0, 0.0)):
+        if not fence.allows(ZERO):
             raise BadItem(mavlink.MAV_MISSION_DENIED, "Fence refused: home is outside it")
         if flies and not fence.allows(state.position):
             raise BadItem(mavlink.MAV_MISSION_DENIED, "Fence refused: the vehicle is outside it")
@@ -255,19 +260,15 @@ class PlanService:
         return Reply([mission_current(Snapshot(self._vehicle.config, state, (0.0, 0.0), None))])
 
 
-def checksum(items: Items) -> int:
-    """Return PX4's id of a list: a checksum of its items, 0 of an empty one."""
-    number = 0
-    for item in items:
-        number = crc32(item.packed, number)
-    return number
-
-
 def _is_last(request: Request, upload: Upload) -> bool:
     """True if a request brings the last item of an upload again."""
     message = request.message
-    same = upload.is_from(request) and upload.mission_type == message.mission_type
-    return same and message.seq == upload.count - 1 and _read(message).packed == upload.items[-1].packed
+    return (
+        upload.is_from(request)
+        and message.mission_type == upload.mission_type
+        and message.seq == upload.count - 1
+        and _read(message).packed == upload.items[-1].packed
+    )
 
 
 def _read(message: Message) -> Item:
@@ -279,8 +280,15 @@ def _read(message: Message) -> Item:
             round(at * unit) if abs(at) * unit < NOT_GIVEN else NOT_GIVEN
             for at in (x, y)  # NaN is not less
         )
-    params = message.param1, message.param2, message.param3, message.param4
-    return Item(message.command, message.frame, message.autocontinue, params, x, y, message.z)
+    return Item(
+        message.command,
+        message.frame,
+        message.autocontinue,
+        (message.param1, message.param2, message.param3, message.param4),
+        x,
+        y,
+        message.z,
+    )
 
 
 def _unit(frame: int) -> float:

@@ -13,11 +13,9 @@ import numpy as np
 from aircraft.state import ZERO, Ned
 
 GRAVITY_MPS2 = 9.80665
-
+# A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its direction
+# would be 0/0.
 TINY = 1e-9
-"""A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its
-direction would be 0/0.
-"""
 SAME_ROOT = 1e-6  # a root of a polynomial with a smaller imaginary part is real, but for rounding
 
 
@@ -156,8 +154,7 @@ class Turn(NamedTuple):
 def turn(t_s: float, start_rad: float, target_rad: float, rate_radps: float) -> Turn:
     """Return the turn to a yaw, the shorter way round."""
     angle = wrapped(target_rad - start_rad)
-    end_s = t_s + abs(angle) / rate_radps
-    return Turn(t_s, start_rad, math.copysign(rate_radps, angle), end_s, target_rad)
+    return Turn(t_s, start_rad, math.copysign(rate_radps, angle), t_s + abs(angle) / rate_radps, target_rad)
 
 
 def wrapped(angle_rad: float) -> float:
@@ -211,17 +208,16 @@ def first_exit_s(
 
 def real_roots(coefficients: Iterable[float]) -> list[float]:
     """Return the real roots of a polynomial, highest power first; one of even order may come twice."""
-    roots = map(complex, np.roots(list(coefficients)).tolist())
-    return [root.real for root in roots if abs(root.imag) < SAME_ROOT]
+    return [root.real for root in np.roots(list(coefficients)).tolist() if abs(root.imag) < SAME_ROOT]
 
 
 def _speed_limit(direction: Ned, limits: Limits) -> float:
     """Highest speed (m/s) along a unit vector within the horizontal and vertical limits."""
     horizontal, down = math.hypot(direction[0], direction[1]), direction[2]
-    vertical_limit = limits.descent_mps if down > 0.0 else limits.climb_mps
     return min(
         limits.speed_mps / horizontal if horizontal > 0.0 else math.inf,
-        vertical_limit / abs(down) if down != 0.0 else math.inf,
+        limits.descent_mps / down if down > 0.0 else math.inf,
+        limits.climb_mps / -down if down < 0.0 else math.inf,
     )
 
 

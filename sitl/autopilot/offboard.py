@@ -1,4 +1,4 @@
-"""How the vehicle follows a companion in OFFBOARD: the way of a setpoint, and the companion's silence.
+"""How the vehicle follows a companion in OFFBOARD: the way of a setpoint, and when the companion was heard.
 
 A velocity or an acceleration becomes pushes of constant acceleration, and a cruise. `steer` flies them and
 brakes in time to come to rest on the edge of the area.
@@ -40,8 +40,8 @@ ROUNDING = 1e-12  # a coefficient that is smaller than the largest by this facto
 class Box(NamedTuple):
     """Where the vehicle may be: the lowest and the highest north, east and down, m from home."""
 
-    low: Ned
-    high: Ned
+    low: tuple[float, ...]
+    high: tuple[float, ...]
 
     def holds(self, position: Ned) -> bool:
         """True if a position is inside or on an edge."""
@@ -60,10 +60,7 @@ class Box(NamedTuple):
 
     def extended_to(self, position: Ned) -> "Box":
         """Return the smallest box that also holds a position."""
-        north, east, down = map(min, self.low, position)
-        low = north, east, down
-        north, east, down = map(max, self.high, position)
-        return Box(low, (north, east, down))
+        return Box(tuple(map(min, self.low, position)), tuple(map(max, self.high, position)))
 
 
 class Push(NamedTuple):
@@ -87,8 +84,7 @@ def steer(t_s: float, motion: Motion, pushes: Sequence[Push], limits: Limits, bo
     box = box.extended_to(halt(t_s, motion, limits).target)
     cruise, phases, now_s = _moving(pushes[-1].velocity), [], t_s
     if any(cruise):  # by the time that the way through the whole box takes, the vehicle has left it
-        through_s = math.dist(box.low, box.high) / math.hypot(*cruise)
-        pushes = [*pushes, Push(ZERO, through_s, cruise)]
+        pushes = [*pushes, Push(ZERO, math.dist(box.low, box.high) / math.hypot(*cruise), cruise)]
     for push in pushes:
         lasts_s = safe_s(motion, push, limits.accel_mps2, box)
         phase = Phase(now_s, now_s + lasts_s, now_s, motion._replace(acceleration=push.acceleration))
@@ -257,11 +253,10 @@ def facing(now: Turn, t_s: float, setpoint: Setpoint, config: VehicleConfig) -> 
     rate = min(max(setpoint.yaw_rate_radps or 0.0, -most), most)
     if rate == 0.0:
         return now.stopped(t_s)
-    is_same = now.end_s == math.inf and now.rate_radps == rate
-    return now if is_same else Turn(t_s, yaw_rad, rate)
+    return now if now.end_s == math.inf and now.rate_radps == rate else Turn(t_s, yaw_rad, rate)
 
 
-# ---- how long it may be silent ----
+# ---- when it was heard ----
 
 
 class Companion:
@@ -271,45 +266,21 @@ class Companion:
     """
 
     def __init__(self) -> None:
-        """Begin unheard."""
         self.setpoint: Setpoint | None = None
-        self.is_own_search = False  # the vehicle's own search leads: it answers readings, and need not stream
-        self._heard_s = self._before_s = -math.inf  # the newest setpoint, and the one before
+        self.heard_s = self._before_s = -math.inf  # the newest setpoint, and the one before
 
     def hear(self, setpoint: Setpoint, now_s: float) -> None:
         """Take an accepted setpoint."""
-        self.setpoint, self._before_s, self._heard_s = setpoint, self._heard_s, now_s
+        self.setpoint, self._before_s, self.heard_s = setpoint, self.heard_s, now_s
 
-    def missing(self, now_s: float, config: VehicleConfig) -> str:
+    def missing(self, now_s: float, patience_s: float, streams: bool) -> str:
         """Return what OFFBOARD still needs: a recent setpoint, or a stream of 2 Hz or more; or nothing."""
         if self.setpoint is None:
             return "no setpoint received yet"
-        age_s, gap_s, longest_s = (
-            now_s - self._heard_s,
-            self._heard_s - self._before_s,
-            self.patience_s(config),
-        )
-        if age_s > longest_s:
-            return f"no setpoint in the last {longest_s:g} s"
+        age_s, gap_s = now_s - self.heard_s, self.heard_s - self._before_s
+        if age_s > patience_s:
+            return f"no setpoint in the last {patience_s:g} s"
         # Two in the time after which a stream is lost: 2 Hz. A pause of twice that time is the end of an
         # earlier stream.
-        slow = age_s > longest_s / 2.0 or longest_s / 2.0 < gap_s <= 2.0 * longest_s
-        return "setpoints come at less than 2 Hz" if self._must_stream(config) and slow else ""
-
-    def lost_s(self, since_s: float, path_end_s: float, config: VehicleConfig) -> float:
-        """Return when it counts as lost, if it flies the vehicle since a time and says nothing more.
-
-        A leg may take longer than it may be silent, so silence counts from the end of a leg to a position,
-        unless it must stream.
-        """
-        heard_s = max(self._heard_s, since_s)
-        if self.setpoint and self.setpoint.position is not None and not self._must_stream(config):
-            heard_s = max(heard_s, path_end_s)
-        return heard_s + self.patience_s(config)
-
-    def patience_s(self, config: VehicleConfig) -> float:
-        """Return how long it may be silent."""
-        return config.stream_s if self._must_stream(config) else config.silence_s
-
-    def _must_stream(self, config: VehicleConfig) -> bool:
-        return math.isfinite(config.stream_s) and not self.is_own_search
+        slow = age_s > patience_s / 2.0 or patience_s / 2.0 < gap_s <= 2.0 * patience_s
+        return "setpoints come at less than 2 Hz" if streams and slow else ""

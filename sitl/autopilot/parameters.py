@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.state import LOW_BATTERY
 from link.bus.mavlink import Message
-from sitl.autopilot.messages import CELLS, EMPTY_CELL_V, FULL_CELL_V
 from sitl.autopilot.services import Microservice, Reply, Request
+from sitl.autopilot.telemetry import CELLS, EMPTY_CELL_V, FULL_CELL_V
 from sitl.autopilot.vehicle import Vehicle
 
 REAL, INT = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
@@ -53,43 +53,53 @@ class Parameter(NamedTuple):
         return float(struct.unpack("<i" if self.kind == INT else "<f", data)[0])
 
 
-def _changed(name: str, field: str, low: float, high: float, unit: str, about: str) -> Parameter:
-    return Parameter(name, REAL, about, field, low, high, unit)
-
-
-GF_ACTION = "on leaving the fence: 0 nothing, 1 warns, 2 holds, 3 returns, 4 motors off, 5 lands"
+# By name: the order of their indices. QGroundControl reads the fixed ones to see whether the vehicle
+# is set up.
 PARAMETERS = tuple(
     sorted(
         (
-            _changed(
-                "MIS_TAKEOFF_ALT", "takeoff_altitude_m", 0.5, 80, "m", "altitude of a take-off above home"
+            Parameter(
+                "MIS_TAKEOFF_ALT",
+                REAL,
+                "altitude of a take-off above home",
+                "takeoff_altitude_m",
+                0.5,
+                80,
+                "m",
             ),
-            _changed(
-                "RTL_RETURN_ALT", "return_altitude_m", 0.5, 150, "m", "lowest altitude of a return above home"
+            Parameter(
+                "RTL_RETURN_ALT",
+                REAL,
+                "lowest altitude of a return above home",
+                "return_altitude_m",
+                0.5,
+                150,
+                "m",
             ),
-            _changed("GF_MAX_VER_DIST", "ceiling_m", 1, 10_000, "m", "highest altitude above home"),
+            Parameter("GF_MAX_VER_DIST", REAL, "highest altitude above home", "ceiling_m", 1, 10_000, "m"),
             Parameter("GF_MAX_HOR_DIST", REAL, "no circle around home is a fence", value=0),
-            _changed("MPC_XY_CRUISE", "speed_mps", 0.5, 20, "m/s", "horizontal speed"),
-            _changed("MPC_Z_VEL_MAX_UP", "climb_mps", 0.5, 8, "m/s", "speed of climbs"),
-            _changed("MPC_Z_VEL_MAX_DN", "descent_mps", 0.5, 4, "m/s", "speed of descents"),
-            _changed("MPC_ACC_HOR", "accel_mps2", 0.5, 15, "m/s2", "acceleration along a leg"),
-            _changed("MPC_YAWRAUTO_MAX", "yaw_rate_dps", 5, 360, "deg/s", "rate of turns"),
+            Parameter("MPC_XY_CRUISE", REAL, "horizontal speed", "speed_mps", 0.5, 20, "m/s"),
+            Parameter("MPC_Z_VEL_MAX_UP", REAL, "speed of climbs", "climb_mps", 0.5, 8, "m/s"),
+            Parameter("MPC_Z_VEL_MAX_DN", REAL, "speed of descents", "descent_mps", 0.5, 4, "m/s"),
+            Parameter("MPC_ACC_HOR", REAL, "acceleration along a leg", "accel_mps2", 0.5, 15, "m/s2"),
+            Parameter("MPC_YAWRAUTO_MAX", REAL, "rate of turns", "yaw_rate_dps", 5, 360, "deg/s"),
             Parameter(
                 "GF_ACTION",
                 INT,
-                GF_ACTION,
+                "on leaving the fence: 0 nothing, 1 warns, 2 holds, 3 returns, 4 motors off, 5 lands",
                 "fence_action",
                 0,
                 5,
             ),
             Parameter("RTL_TYPE", INT, "a return goes to the nearest of home and rally points", value=0),
-            _changed(
+            Parameter(
                 "COM_OF_LOSS_T",
+                REAL,
+                "time without a setpoint until OFFBOARD returns home",
                 "silence_s",
                 0.5,
                 3600,
                 "s",
-                "time without a setpoint until OFFBOARD returns home",
             ),
             Parameter("COM_OBL_RC_ACT", INT, "when OFFBOARD gets no setpoints: return home", value=3),
             Parameter("COM_LOW_BAT_ACT", INT, "at BAT_LOW_THR a warning, at BAT_CRIT_THR a landing", value=2),
@@ -98,21 +108,23 @@ PARAMETERS = tuple(
             Parameter("EKF2_DRAG_CTRL", INT, "the wind is estimated: WIND_COV", value=1),
             Parameter("NAV_DLL_ACT", INT, "the loss of a ground station does nothing", value=0),
             Parameter("COM_RCL_EXCEPT", INT, "modes that fly on without RC: all", value=7),
-            _changed(
+            Parameter(
                 "COM_DISARM_LAND",
+                REAL,
+                "time after a landing until the motors stop",
                 "disarm_landed_s",
                 NEVER,
                 20,
                 "s",
-                "time after a landing until the motors stop",
             ),
-            _changed(
+            Parameter(
                 "COM_DISARM_PRFLT",
+                REAL,
+                "time after arming without a take-off until the motors stop",
                 "disarm_preflight_s",
                 NEVER,
                 60,
                 "s",
-                "time after arming without a take-off until the motors stop",
             ),
             Parameter("MAV_SYS_ID", INT, "system id; set at start (`-I`)"),
             Parameter("SYS_AUTOSTART", INT, "airframe: generic quadcopter", value=4001),
@@ -126,9 +138,6 @@ PARAMETERS = tuple(
         )
     )
 )
-"""All parameters by name: the order of their indices. QGroundControl reads the fixed ones to see whether
-the vehicle is set up.
-"""
 INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 
 
@@ -136,7 +145,6 @@ class Parameters:
     """The parameters of one vehicle."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Read and change the vehicle's configuration."""
         self._vehicle = vehicle
         extended = "PARAM_EXT_ACK: failed; the parameters are PARAM_VALUE's"
         self.services = (
@@ -176,8 +184,11 @@ class Parameters:
 
     def _field(self, parameter: Parameter) -> str:
         """The field of the configuration: a strict vehicle's COM_OF_LOSS_T is that of streams."""
-        strict = math.isfinite(self._vehicle.config.stream_s)
-        return "stream_s" if strict and parameter.field == "silence_s" else parameter.field
+        return (
+            "stream_s"
+            if parameter.field == "silence_s" and math.isfinite(self._vehicle.config.stream_s)
+            else parameter.field
+        )
 
     # ---- requests ----
 
@@ -207,14 +218,14 @@ class Parameters:
         return Reply([self._param(parameter)], reason and f"{parameter.name} refused: {reason}")
 
     def _param(self, parameter: Parameter) -> Message:
-        value = parameter.pack(self.value(parameter))
-        return _param_value(parameter.name, value, parameter.kind, INDEX[parameter.name])
+        name, value = parameter.name, parameter.pack(self.value(parameter))
+        return _param_value(name, value, parameter.kind, INDEX[name])
 
     def _hash(self) -> Message:
-        crc = 0
-        for parameter in PARAMETERS:
-            crc = crc32(parameter.name.encode() + parameter.pack(self.value(parameter)), crc)
-        return _param_value(HASH, struct.pack("<I", crc), mavlink.MAV_PARAM_TYPE_UINT32, NO_INDEX)
+        named = (each.name.encode() + each.pack(self.value(each)) for each in PARAMETERS)
+        return _param_value(
+            HASH, struct.pack("<I", crc32(b"".join(named))), mavlink.MAV_PARAM_TYPE_UINT32, NO_INDEX
+        )
 
 
 def _param_value(name: str, value: bytes, kind: int, index: int) -> Message:
@@ -222,9 +233,9 @@ def _param_value(name: str, value: bytes, kind: int, index: int) -> Message:
     return mavlink.MAVLink_param_value_message(name.encode(), packed, kind, len(PARAMETERS), index)
 
 
-def crc32(data: bytes, crc: int) -> int:
+def crc32(data: bytes) -> int:
     """Return PX4's checksum: CRC-32 that begins with 0 and is not inverted at its end."""
-    return ~zlib.crc32(data, ~crc & 0xFFFFFFFF) & 0xFFFFFFFF
+    return zlib.crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF
 
 
 def _unknown(request: Request) -> Reply:

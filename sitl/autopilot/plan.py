@@ -19,12 +19,13 @@ FASTEST_MPS = 20.0  # highest speed that DO_CHANGE_SPEED may set, that of MPC_XY
 
 ABOVE_SEA = {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
 ABOVE_HOME = {mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT}
-FRAMES = ABOVE_SEA | ABOVE_HOME | {mavlink.MAV_FRAME_MISSION}
+MISSION_FRAMES = ABOVE_SEA | ABOVE_HOME | {mavlink.MAV_FRAME_MISSION}
 
 TAKEOFF, LAND = mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_NAV_LAND
 WAYPOINT, RETURN = mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH
 LOITER, LOITER_TIME = mavlink.MAV_CMD_NAV_LOITER_UNLIM, mavlink.MAV_CMD_NAV_LOITER_TIME
 DELAY, SPEED, JUMP = mavlink.MAV_CMD_NAV_DELAY, mavlink.MAV_CMD_DO_CHANGE_SPEED, mavlink.MAV_CMD_DO_JUMP
+# The items of a mission that are carried out, and how.
 FLOWN = {
     TAKEOFF: "climbs straight up, then flies to its position if it has one",
     WAYPOINT: "flies there, turns to its yaw, waits the hold time; acceptance and pass radius are ignored: "
@@ -38,7 +39,8 @@ FLOWN = {
     "restores it",
     JUMP: f"goes on with item param 1, param 2 times, at most {MOST_JUMPS}",
 }
-"""The items of a mission that are carried out, and how."""
+# Items for a camera or a gimbal, which stations put into plans: taken and passed over, as by a PX4 that has
+# neither.
 IGNORED = (
     mavlink.MAV_CMD_DO_LAND_START,
     mavlink.MAV_CMD_DO_SET_ROI_LOCATION,
@@ -62,9 +64,6 @@ IGNORED = (
     mavlink.MAV_CMD_VIDEO_START_CAPTURE,
     mavlink.MAV_CMD_VIDEO_STOP_CAPTURE,
 )
-"""Items for a camera or a gimbal, which stations put into plans: taken and passed over, as by a PX4 that
-has neither.
-"""
 PLACED = {TAKEOFF, WAYPOINT, LOITER, LOITER_TIME, LAND}
 ANYWHERE = {TAKEOFF, LAND}  # items that may leave out their latitude and longitude
 CORNER = {
@@ -78,7 +77,6 @@ class BadItem(ValueError):
     """An item or a list that is refused; `code` is its MAV_MISSION_RESULT."""
 
     def __init__(self, code: int, text: str) -> None:
-        """Take the result and the reason."""
         super().__init__(text)
         self.code = code
 
@@ -147,15 +145,14 @@ def step(item: Item, count: int, config: VehicleConfig) -> MissionStep:
     command, (p1, p2, _, p4) = item.command, item.params
     if command not in FLOWN and command not in IGNORED:
         raise BadItem(mavlink.MAV_MISSION_UNSUPPORTED, f"command {command} is not supported")
-    if item.frame not in FRAMES or (command in PLACED and item.frame == mavlink.MAV_FRAME_MISSION):
+    if item.frame not in MISSION_FRAMES or (command in PLACED and item.frame == mavlink.MAV_FRAME_MISSION):
         raise BadItem(mavlink.MAV_MISSION_UNSUPPORTED_FRAME, f"frame {item.frame} is not supported")
     goes_on = bool(item.autocontinue)
     match command:
         case mavlink.MAV_CMD_DO_CHANGE_SPEED:
-            horizontal = p1 in (mavlink.SPEED_TYPE_AIRSPEED, mavlink.SPEED_TYPE_GROUNDSPEED)
-            _check(1, p1, horizontal, "0 or 1, a horizontal speed")
-            allowed = f"above 0 to {FASTEST_MPS:g} m/s, -1 or -2"
-            _check(2, p2, 0.0 < p2 <= FASTEST_MPS or p2 in (-1.0, -2.0), allowed)
+            _check(1, p1, p1 in (0.0, 1.0), "0 or 1, a horizontal speed")
+            holds = 0.0 < p2 <= FASTEST_MPS or p2 in (-1.0, -2.0)
+            _check(2, p2, holds, f"above 0 to {FASTEST_MPS:g} m/s, -1 or -2")
             return MissionStep(command, value=p2)
         case mavlink.MAV_CMD_DO_JUMP:
             _check(1, p1, p1 in range(count), f"0 to {count - 1}, an item")
@@ -249,12 +246,10 @@ def check(item: Item, mission_type: int, count: int, config: VehicleConfig) -> N
 
 
 class FlightPlan:
-    """A mission on board: its steps, the current one, and what has been done of it."""
+    """A mission on board: its steps, the checksum of its items, the current step, and what has been done."""
 
-    def __init__(self, steps: tuple[MissionStep, ...] = (), number: int = 0) -> None:
-        """Begin before the first step; `number` is the checksum of the items."""
-        self.steps, self.number = steps, number
-        self.current = 0
+    def __init__(self, steps: tuple[MissionStep, ...] = (), number: int = 0, current: int = 0) -> None:
+        self.steps, self.number, self.current = steps, number, current
         self.begun = self.finished = False
         self.reached: tuple[int, float] | None = None  # the step that was done last, and when, s
         self._jumps: Counter[int] = Counter()  # how often each jump was taken

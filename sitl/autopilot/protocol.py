@@ -17,23 +17,24 @@ from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
-BROADCAST = Result(mavlink.MAV_RESULT_FAILED, "Command refused: sent to all, wanted one vehicle")
 
 
 class MavlinkProtocol(Words):
-    """Handles the MAVLink messages of all clients of one vehicle and builds the answers."""
+    """Handles the MAVLink messages of all clients of one vehicle and builds the answers.
+
+    The clock is real time, s: clients live in it.
+    """
 
     def __init__(self, vehicle: Vehicle, clock: Callable[[], float] = time.monotonic) -> None:
-        """Serve one vehicle. `clock` is real time, s: clients live in it."""
         super().__init__()
         self._vehicle = vehicle
-        self._plans = PlanService(vehicle, clock)
+        self.plans = PlanService(vehicle, clock)
         self._parameters = Parameters(vehicle)
+        # By the type of message that each takes.
         self.services: dict[str, Microservice] = {
             service.request: service
-            for service in (*self._parameters.services, *SERVICES, *self._plans.services)
+            for service in (*self._parameters.services, *SERVICES, *self.plans.services)
         }
-        """By the type of message that each takes."""
         self._told: set[tuple[str, int, int]] = set()  # (message type, sender) of texts that are sent once
 
     def receive(self, message: Message, t_s: float, streams: Telemetry | None = None) -> list[Message]:
@@ -68,13 +69,9 @@ class MavlinkProtocol(Words):
                 return self._said(self.services[kind].answer(request))
         return []
 
-    def next_due_s(self) -> float:
-        """Return when to call `due` again, in real time; infinity if nothing is awaited."""
-        return self._plans.next_s()
-
     def due(self, streams: Telemetry) -> list[Message]:
         """Return what to send again over a link, of the telemetry `streams`: a client has not answered."""
-        return self._said(self._plans.due(streams))
+        return self._said(self.plans.due(streams))
 
     def is_addressed(self, message: Message) -> bool:
         """True unless a message is for others, or comes from our own ids: PX4 ignores those, too."""
@@ -90,11 +87,13 @@ class MavlinkProtocol(Words):
         message = request.message
         known = COMMANDS.get(message.command)
         if message.target_system == 0 and not (known and known.for_all):
-            return self.refuse(message, BROADCAST)
+            return self.refuse(
+                message,
+                Result(mavlink.MAV_RESULT_FAILED, "Command refused: sent to all, wanted one vehicle"),
+            )
         answers: list[Message] = []
         asked = CommandRequest(self._vehicle, self._parameters, request.t_s, request.streams, answers)
-        result = obey(message.command, asked, params(message))
-        ack, *reason = self.answer(message, message.command, result)
+        ack, *reason = self.answer(message, message.command, obey(message.command, asked, params(message)))
         return [ack, *answers, *reason]
 
     def _said(self, reply: Reply) -> list[Message]:

@@ -62,28 +62,26 @@ def ping(request: Request) -> Reply:
 
 # ---- logs and files: there are none ----
 
-LOG_BYTES = 90  # of one LOG_DATA (120)
+LOG_BYTES = 90  # of one LOG_DATA (120); without any, a download ends
 
 
-def log_entries(_: Request) -> Reply:
-    """Answer LOG_REQUEST_LIST (117): no logs."""
+def _log_entries(_: Request) -> Reply:
     return Reply([mavlink.MAVLink_log_entry_message(id=0, num_logs=0, last_log_num=0, time_utc=0, size=0)])
 
 
-def log_data(request: Request) -> Reply:
-    """Answer LOG_REQUEST_DATA (119): no bytes, which ends a download."""
+def _log_data(request: Request) -> Reply:
     message = request.message
     return Reply([mavlink.MAVLink_log_data_message(message.id, message.ofs, 0, [0] * LOG_BYTES)])
 
 
-def log_erase(_: Request) -> Reply:
-    """Answer LOG_ERASE (121) in words: it has no acknowledgement."""
+def _log_erase(_: Request) -> Reply:
     return Reply([], "Logs not erased: none on board")
 
 
 # Sequence number, session, opcode, size, requested opcode, burst complete, padding, offset.
 FTP_HEADER = struct.Struct("<HBBBBBxI")
 FTP_PAYLOAD = 251  # bytes, header included
+# The error of each opcode: there are no sessions and no files, and nothing can be written.
 FTP_ERROR = {
     mavlink.MAV_FTP_OPCODE_TERMINATESESSION: mavlink.MAV_FTP_ERR_INVALIDSESSION,
     mavlink.MAV_FTP_OPCODE_READFILE: mavlink.MAV_FTP_ERR_INVALIDSESSION,
@@ -100,7 +98,6 @@ FTP_ERROR = {
     mavlink.MAV_FTP_OPCODE_OPENFILEWO: mavlink.MAV_FTP_ERR_FILEPROTECTED,
     mavlink.MAV_FTP_OPCODE_CREATEDIRECTORY: mavlink.MAV_FTP_ERR_FILEPROTECTED,
 }
-"""The error of each opcode: there are no sessions and no files, and nothing can be written."""
 # Opcodes that ask for nothing, or for what is so already: acknowledged.
 FTP_HARMLESS = {mavlink.MAV_FTP_OPCODE_NONE, mavlink.MAV_FTP_OPCODE_RESETSESSION}
 FTP_ANSWERS = {mavlink.MAV_FTP_OPCODE_ACK, mavlink.MAV_FTP_OPCODE_NAK}
@@ -123,14 +120,15 @@ def ftp(request: Request) -> Reply:
 SERVICES = (
     Microservice("TIMESYNC", timesync, "TIMESYNC with the time of the simulation, which all telemetry uses"),
     Microservice("PING", ping, "PING, addressed to the asker"),
-    Microservice("LOG_REQUEST_LIST", log_entries, "LOG_ENTRY with 0 logs", False),
-    Microservice("LOG_REQUEST_DATA", log_data, "LOG_DATA with 0 bytes", False),
-    Microservice("LOG_ERASE", log_erase, "a STATUSTEXT", False),
+    Microservice("LOG_REQUEST_LIST", _log_entries, "LOG_ENTRY with 0 logs", False),
+    Microservice("LOG_REQUEST_DATA", _log_data, "LOG_DATA with 0 bytes", False),
+    Microservice("LOG_ERASE", _log_erase, "a STATUSTEXT", False),
     Microservice(
         "FILE_TRANSFER_PROTOCOL", ftp, "a NAK with the fitting error: there are no files on board", False
     ),
 )
 
+# Messages that are refused, and the text of the refusal, sent at most once a second.
 REFUSED = {
     "SET_ATTITUDE_TARGET": "Attitude setpoint refused: only positions, velocities and accelerations are "
     "flown",
@@ -145,10 +143,9 @@ REFUSED = {
     "SETUP_SIGNING": "Signing setup refused: no keys over a link",
     "PLAY_TUNE": "Tune refused: there is no speaker",
 }
-"""Messages that are refused, and the text of the refusal, sent at most once a second."""
+# Those that stations repeat as long as they run: each asker gets the text once.
 REFUSED_ONCE = {
     "MANUAL_CONTROL": "Manual control refused: not simulated",
     "RC_CHANNELS_OVERRIDE": "RC override refused: not simulated",
     "REQUEST_DATA_STREAM": "Data streams refused: MAV_CMD_SET_MESSAGE_INTERVAL sets rates",
 }
-"""Those that stations repeat as long as they run: each asker gets the text once."""

@@ -13,7 +13,7 @@ from link.bus.mavlink import Message
 from sitl.autopilot.config import VehicleConfig
 
 LOCAL, GLOBAL = "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"
-FRAMES = {
+SETPOINT_FRAMES = {
     LOCAL: {mavlink.MAV_FRAME_LOCAL_NED: "LOCAL_NED", mavlink.MAV_FRAME_BODY_NED: "BODY_NED"},
     GLOBAL: {
         mavlink.MAV_FRAME_GLOBAL_INT: "GLOBAL_INT",
@@ -59,11 +59,15 @@ class Setpoint(NamedTuple):
             return outside and denied(f"Waypoint refused: {outside[1]}", outside[0])
         for name, vector in (("velocity", self.velocity), ("acceleration", self.acceleration)):
             if vector is not None and not all(map(math.isfinite, vector)):
-                values = ", ".join(map(metres, vector))
-                return denied(f"Setpoint refused: {name} ({values}) is not finite", "not finite")
+                return denied(
+                    f"Setpoint refused: {name} ({', '.join(map(metres, vector))}) is not finite",
+                    "not finite",
+                )
         if self.down_m is not None and not 0.0 <= -self.down_m <= config.ceiling_m:
-            high = f"altitude {metres(-self.down_m)} m is outside [0, {config.ceiling_m:g}] m"
-            return denied(f"Setpoint refused: {high}", "outside the altitudes")
+            return denied(
+                f"Setpoint refused: altitude {metres(-self.down_m)} m is outside [0, {config.ceiling_m:g}] m",
+                "outside the altitudes",
+            )
         return None
 
 
@@ -72,7 +76,7 @@ def read(m: Message, config: VehicleConfig, yaw_rad: float) -> Setpoint | Result
 
     yaw_rad: the vehicle's yaw, by which vectors in BODY_NED are turned.
     """
-    frames = FRAMES[m.get_type()]
+    frames = SETPOINT_FRAMES[m.get_type()]
     if m.coordinate_frame not in frames:
         allowed = " or ".join(f"{name} ({number})" for number, name in frames.items())
         return denied(f"Setpoint refused: frame {m.coordinate_frame} is not {allowed}", "frame")

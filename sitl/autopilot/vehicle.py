@@ -28,7 +28,7 @@ from aircraft.state import (
 )
 from link.modes import Mode
 from sitl.autopilot import plan
-from sitl.autopilot.config import HOLD, LAND, RETURN, TERMINATE, VehicleConfig
+from sitl.autopilot.config import FENCE_HOLD, FENCE_LAND, FENCE_RETURN, FENCE_TERMINATE, VehicleConfig
 from sitl.autopilot.motion import Motion, Trajectory, fall, halt, tilt, turn, wrapped
 from sitl.autopilot.offboard import SAME_PLACE_M, Companion, clamped, facing, steered, wants_to_move
 from sitl.autopilot.plan import FlightPlan, Leg, MissionProgress, MissionStep
@@ -37,12 +37,13 @@ from sitl.autopilot.setpoint import Setpoint
 INFO, WARNING = mavlink.MAV_SEVERITY_INFO, mavlink.MAV_SEVERITY_WARNING
 CRITICAL, EMERGENCY = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_EMERGENCY
 EMPTY = "battery empty"
-FENCE_ACTIONS = {
-    HOLD: (Mode.HOLD, "holding"),
-    RETURN: (Mode.RETURN, "returning"),
-    LAND: (Mode.LAND, "landing"),
+# What GF_ACTION does when the fence is left, and the mode that it changes to, if any.
+FENCE_ACTIONS: dict[int, tuple[Mode | None, str]] = {
+    FENCE_HOLD: (Mode.HOLD, "holding"),
+    FENCE_RETURN: (Mode.RETURN, "returning"),
+    FENCE_LAND: (Mode.LAND, "landing"),
+    FENCE_TERMINATE: (None, "motors stopped"),
 }
-"""What GF_ACTION does when the fence is left."""
 
 
 class Breaches(NamedTuple):
@@ -83,7 +84,6 @@ class Battery:
     """A battery that drains evenly with the motors on. Times in s of simulation time."""
 
     def __init__(self) -> None:
-        """Begin full, with the motors off."""
         self.alarms = 0  # how many it has given: 1 since it was low, 2 since it was empty
         self.on_s = math.inf  # when the motors were switched on; infinity while they are off
         self._spent_s = 0.0  # time used up before
@@ -102,8 +102,7 @@ class Battery:
         """Return when the next alarm is due, low first, then empty; infinity if there is none."""
         if self.empty:
             return math.inf
-        lasts_s = endurance_s * (1.0 - LOW_BATTERY if self.alarms == 0 else 1.0)
-        return self.on_s + lasts_s - self._spent_s
+        return self.on_s + endurance_s * (1.0 - LOW_BATTERY if self.alarms == 0 else 1.0) - self._spent_s
 
     def charge(self, t_s: float, endurance_s: float) -> float:
         """Return the remaining charge, 0 to 1."""
@@ -111,7 +110,7 @@ class Battery:
 
 
 class Vehicle:
-    """One simulated multirotor with its autopilot.
+    """One simulated multirotor with its autopilot. It starts at home at time 0, disarmed, its battery full.
 
     Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`, `load`, `set_current`) takes
     the simulation time in s and first handles all events due by then. Time that runs backwards raises
@@ -123,7 +122,6 @@ class Vehicle:
     caveat = ""  # its position never jumps
 
     def __init__(self, config: VehicleConfig) -> None:
-        """Start at home at time 0, disarmed, with a full battery."""
         self.config = config
         self.now_s = 0.0  # the current simulation time
         self.mode = Mode.HOLD
@@ -131,6 +129,7 @@ class Vehicle:
         self.moving = False  # True while the current path has not ended
         self.mission = FlightPlan()  # the mission on board; `load` changes it
         self.companion = Companion()  # the program that flies it in OFFBOARD
+        self.is_searched = False  # whether its own search leads it: that need not stream setpoints
 
         self._events: list[VehicleEvent] = []
         self._battery = Battery()
@@ -181,8 +180,7 @@ class Vehicle:
         if not self.moving:
             upcoming.append((self._item_done_s(), self._pass_item))
         if self.mode is Mode.OFFBOARD:
-            lost_s = self.companion.lost_s(self._alone_since_s, self._path.end_s, config)
-            upcoming.append((lost_s, self._lose_companion))
+            upcoming.append((self._companion_lost_s(), self._lose_companion))
         upcoming.append((self._battery.next_alarm_s(config.endurance_s), self._alarm_battery))
         if self._on_ground:
             waits_s = config.disarm_landed_s if self._has_flown else config.disarm_preflight_s
@@ -194,22 +192,13 @@ class Vehicle:
     @property
     def busy(self) -> bool:
         """True while it waits for nobody: it flies, lands, or waits for a time of its mission."""
-        lands = self.armed and self.mode is Mode.LAND
-        return self.moving or lands or (self.armed and self._item_done_s() < math.inf)
+        waits = self.mode is Mode.LAND or self._item_done_s() < math.inf
+        return self.moving or (self.armed and waits)
 
     @property
     def free(self) -> bool:
         """True while it stands on the ground and nobody flies it."""
         return self._on_ground and self.mode is Mode.HOLD
-
-    @property
-    def is_searched(self) -> bool:
-        """True while its own search leads it: that need not stream setpoints."""
-        return self.companion.is_own_search
-
-    @is_searched.setter
-    def is_searched(self, leads: bool) -> None:
-        self.companion.is_own_search = leads
 
     @property
     def waypoint(self) -> Ned | None:
@@ -318,8 +307,10 @@ class Vehicle:
         self.catch_up(t_s)
         altitude = self.config.takeoff_altitude_m if altitude_m is None else altitude_m
         if not 0.0 < altitude <= self.config.ceiling_m:
-            allowed = f"allowed is above 0 and up to {self.config.ceiling_m:g} m"
-            return denied(f"Take-off refused: altitude {metres(altitude)} m, {allowed}")
+            return denied(
+                f"Take-off refused: altitude {metres(altitude)} m, "
+                f"allowed is above 0 and up to {self.config.ceiling_m:g} m"
+            )
         if self.mode is Mode.TAKEOFF and self._path.target[2] == -altitude:
             return ACCEPTED  # a client repeats the command if its acknowledgement was lost
         if reason := self._unfit() or ("" if self._on_ground else "already in the air"):
@@ -386,8 +377,7 @@ class Vehicle:
         number: the checksum of its items.
         """
         self.catch_up(t_s)
-        self.mission = FlightPlan(steps, number)
-        self.mission.current = current
+        self.mission = FlightPlan(steps, number, current)
         if self.mode is Mode.MISSION and not steps:
             self._say(WARNING, "Mission cleared: holding")
             self._enter(Mode.HOLD)
@@ -409,7 +399,7 @@ class Vehicle:
     def _missing(self, mode: Mode) -> str:
         """What a mode still needs, or nothing."""
         if mode is Mode.OFFBOARD:
-            return self.companion.missing(self.now_s, self.config)
+            return self.companion.missing(self.now_s, self._patience_s, self._wants_stream)
         if mode is not Mode.MISSION:
             return ""
         if not self.mission.steps:
@@ -466,8 +456,9 @@ class Vehicle:
         path, limits = self._halted(), self.config.limits
         north, east, down = path.target
         down = min(down, -self.config.return_altitude_m)
-        above = *self.config.rally.nearest(path.target), down
-        self._fly(path.to((north, east, down), limits).to(above, limits))
+        self._fly(
+            path.to((north, east, down), limits).to((*self.config.rally.nearest(path.target), down), limits)
+        )
 
     # ---- the path ----
 
@@ -507,8 +498,11 @@ class Vehicle:
             self._end_told = position
             north, east, down = position
             side, above = f"[0, {config.area_m:g}]", f"[0, {config.ceiling_m:g}]"
-            place = f"({metres(east)}, {metres(north)}) m at {metres(-down)} m"
-            self._say(WARNING, f"Setpoint ends at {place}: allowed is {side} x {side} m at {above} m")
+            self._say(
+                WARNING,
+                f"Setpoint ends at ({metres(east)}, {metres(north)}) m at {metres(-down)} m: "
+                f"allowed is {side} x {side} m at {above} m",
+            )
 
     # ---- the mission ----
 
@@ -570,17 +564,14 @@ class Vehicle:
         A vehicle that already returns or lands goes on with it, as in PX4.
         """
         self._breaches = Breaches(True, self._breaches.times + 1, self.now_s)
-        action = self.config.fence_action
-        mode, does = FENCE_ACTIONS.get(action, (self.mode, ""))
-        if action == TERMINATE:
-            does = "motors stopped"
-        elif self.mode in (Mode.RETURN, Mode.LAND):
-            does = ""
+        mode, does = FENCE_ACTIONS.get(self.config.fence_action, (None, ""))
+        if mode and self.mode in (Mode.RETURN, Mode.LAND):
+            mode, does = None, ""
         north, east, _ = self._motion.position
         self._say(CRITICAL, f"Fence breached at ({east:.2f}, {north:.2f}) m" + (does and f": {does}"))
-        if action == TERMINATE:
+        if self.config.fence_action == FENCE_TERMINATE:
             self._drop()
-        elif does:
+        elif mode:
             self._failsafe = True
             self._enter(mode)
         self._watch_fence(outside=True)
@@ -590,9 +581,8 @@ class Vehicle:
     def _drop(self) -> None:
         """Stop the motors in the air."""
         self._say(EMERGENCY, "Motors stopped in the air")
-        falling = fall(self.now_s, self._motion)
         self._stop_motors()
-        self._fly(falling)
+        self._fly(fall(self.now_s, self._motion))
 
     def _stop_motors(self) -> None:
         self._battery.switch_off(self.now_s)
@@ -608,9 +598,28 @@ class Vehicle:
         self._say(INFO, f"Take-off given up: not armed for {self.config.disarm_preflight_s:g} s")
         self.mode = Mode.HOLD
 
+    @property
+    def _wants_stream(self) -> bool:
+        return math.isfinite(self.config.stream_s) and not self.is_searched
+
+    @property
+    def _patience_s(self) -> float:
+        """How long the companion may be silent."""
+        return self.config.stream_s if self._wants_stream else self.config.silence_s
+
+    def _companion_lost_s(self) -> float:
+        """When the companion that flies the vehicle counts as lost, if it says nothing more.
+
+        A leg may take longer than it may be silent, so silence counts from the end of a leg to a position,
+        unless it must stream.
+        """
+        since_s = max(self.companion.heard_s, self._alone_since_s)
+        if self.waypoint is not None and not self._wants_stream:
+            since_s = max(since_s, self._path.end_s)
+        return since_s + self._patience_s
+
     def _lose_companion(self) -> None:
-        silence = f"No setpoint for {self.companion.patience_s(self.config):g} s"
-        self._fail_safe(silence, Mode.RETURN, "returning home")
+        self._fail_safe(f"No setpoint for {self._patience_s:g} s", Mode.RETURN, "returning home")
 
     def _alarm_battery(self) -> None:
         """Warn when the battery is low, as PX4 does by default; land on the spot when it is empty."""

@@ -15,20 +15,16 @@ from aircraft.search.options import add_vehicle_url
 from link import cli
 from plume.outcome import outcome_text
 from plume.scenario import BUDGET_STEPS
-from sitl.launch.child import MissionFailed
-from sitl.launch.joining import check_connect
 from sitl.launch.launcher import Flown, fly
-from sitl.launch.mission import Launch, RealVehicle, RouterChoice, check_payload
+from sitl.launch.mission import Launch, RealVehicle, check_connect, check_payload
+from sitl.launch.processes import MissionFailed
 from sitl.launch.recording import RecordFiles, run_name, write_summary
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
-from sitl.script.options import FIELDS, blamed, script_of
+from sitl.script.options import FIELDS, blamed, script_for_vehicle, script_of
 from sitl.script.script import AgentPart, Script
-from sitl.script.vehicle import script_for_vehicle
 from sitl.uav.options import add_vehicle_arguments
 
-# Raises ValueError, with what is allowed, on a policy that cannot be flown.
-CheckPolicy = Callable[[str], object]
 RECORD_FILE = "FILE.mcap"  # what the recorder calls the file that --record names
 # The flags that the uav has to know, too.
 OF_THE_UAV = (
@@ -50,12 +46,13 @@ OF_THE_UAV = (
 
 def add_arguments(
     parser: argparse.ArgumentParser,
-    check_policy: CheckPolicy | None = None,
+    check_policy: Callable[[str], object] | None = None,
     policies: Callable[[], Iterable[str]] = tuple,
 ) -> None:
     """Add its flags.
 
-    `check_policy` refuses a policy before anything starts; without it the agent does when it has started.
+    `check_policy` refuses a policy before anything starts, by a ValueError that says what is allowed;
+    without it the agent does when it has started.
     `policies` returns the names that a shell completes.
     """
     parser.set_defaults(check_policy=check_policy)
@@ -113,38 +110,30 @@ def add_arguments(
 
 def run(args: argparse.Namespace) -> int:
     """Fly a mission, and say what has come of it. Raises BadInput."""
-
     script = _checked_script(args)
-    name = run_name("connected" if args.connect else script.agent.policy, script.seed)
-    summary = Path("runs") / f"{name}.json"
+    policy = "connected" if args.connect else script.agent.policy
+    summary = Path("runs") / f"{run_name(policy, script.seed)}.json"
     files = None if args.no_record else RecordFiles(args.record or summary.with_suffix(".mcap"))
     if files:
         files.prepare(args.force)
-    page = None
-    if args.view or args.open:
-        page = MissionPage(opened=args.open, attended=sys.stderr.isatty() and not args.json)
+    page = MissionPage(wanted=args.view, opened=args.open, attended=sys.stderr.isatty() and not args.json)
     try:
         flown = fly(_launch(args, script, files.path if files else None), files, page)
     except KeyboardInterrupt:
-        if page:
-            page.end()
+        page.end()
         if files:
             files.give_up(refused=False)
-            files.tell(sys.stderr)
         print("interrupted", file=sys.stderr)
         raise
     except MissionFailed as failure:
         refused = failure.status == cli.BAD_INPUT
         if files:
             files.give_up(refused=refused)
-            files.tell(sys.stderr)
         print(f"error: {_refusal(args, str(failure)) if refused else failure}", file=sys.stderr)
-        if page:
-            page.linger()
+        page.linger()
         return failure.status
     _tell_outcome(args, flown, summary, files)
-    if page:
-        page.linger()
+    page.linger()
     return 0 if all(flown.expectations.values()) else cli.FAILED
 
 
@@ -186,7 +175,9 @@ def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> La
         instance=args.instance,
         sysid=args.sysid,
         uav_arguments=_words(given, *OF_THE_UAV),
-        router=RouterChoice(listen=args.listen, connect=args.connect, secure=args.secure),
+        listen=args.listen,
+        connect=args.connect,
+        secure=args.secure,
         real=real,
         record=record,
         log_level=args.log_level,

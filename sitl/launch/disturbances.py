@@ -4,30 +4,27 @@ Delays are real time: the speed-up does not apply to processes.
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from operator import itemgetter
 
 from sitl.launch.processes import Processes
 from sitl.launch.relay import Relay
 from sitl.launch.watchdog import Watchdog
-from sitl.script.events import Cut, Kill
+from sitl.script.script import Cut, Kill
 
 
 class Disturbances:
-    """The kills and cuts of one mission."""
+    """The kills and cuts of one mission; the watchdog must not take them for hangs."""
 
     def __init__(
         self,
-        events: Sequence[Kill | Cut],
+        events: Iterable[object],
         processes: Processes,
         relays: Mapping[str, Relay],
         watchdog: Watchdog,
         say: Callable[[str], None],
     ) -> None:
-        """Take what can be disturbed, the watchdog that must not take it for a hang, and how to tell
-        people.
-        """
-        self._to_come = list(events)
+        self._to_come = [event for event in events if isinstance(event, Kill | Cut)]
         self._processes = processes
         self._relays = relays
         self._watchdog = watchdog

@@ -1,28 +1,65 @@
-"""What a launcher hears of a mission: its parts, its search and where the vehicle lands."""
+"""What a launcher hears of a mission: services elsewhere, its parts, its search, where the vehicle lands."""
 
 import contextlib
 import math
+import time
 from bisect import bisect_left, bisect_right
+from collections.abc import Callable
 
 from aircraft.operator import AUTOPILOT
-from link.bus.frames import Frame
-from link.bus.keys import BELIEF, HEALTH, MAVLINK_OUT, READING, STOP
+from link.bus.keys import BELIEF, HEALTH, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.bus.messages import Belief, Health, Stop
-from link.bus.session import Arrival, Bus
+from link.bus.session import Arrival, Bus, LivelinessChange
 from plume.outcome import TracePoint
 from scene.follow.area import PLACING, AreaFrame
 from scene.follow.telemetry import LOCAL, frames
+from sitl.launch.processes import MissionFailed
 
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
+TOLD_AFTER_S = 1.0  # how long services elsewhere may be missing until people are told
 MOST_READINGS = 100_000  # readings that wait for their beliefs; a stranger could publish without end
+
+
+def await_services(bus: Bus, namespace: str, say: Callable[[str], None], wait_s: float) -> str:
+    """Wait until estimator and agent are there; returns the agent's policy.
+
+    `bus` has subscribed to HEALTH. Raises MissionFailed if one of them has already flown a mission or is
+    not there after wait_s, or if another vehicle is there.
+    """
+    if "uav" in bus.services():
+        raise MissionFailed(f"another uav is already on {namespace}")
+    bus.watch_services()
+    alive: set[str] = set()
+    health: dict[str, Health] = {}
+    told, until_s = False, time.monotonic() + wait_s
+    while missing := SEARCHERS - (alive & set(health)):
+        if time.monotonic() >= until_s:
+            raise MissionFailed(f"no {' and '.join(sorted(missing))} on {namespace} in {wait_s:g} s (--wait)")
+        item = bus.receive(TOLD_AFTER_S)
+        match item:
+            case None if not told:
+                say(f"waiting for {' and '.join(sorted(missing))} on {namespace}")
+                told = True
+            case LivelinessChange(service, there):
+                (alive.add if there else alive.discard)(service)
+                if not there:
+                    health.pop(service, None)  # a restarted one has to report first
+            case Arrival(key) if key is HEALTH:
+                if (said := bus.decode(item, Health)) is not None:
+                    health[said.service] = said
+    for service in sorted(SEARCHERS):
+        if health[service].step >= 0:
+            raise MissionFailed(
+                f"the {service} has already flown a mission, to step {health[service].step}: restart it"
+            )
+    return health["agent"].about
 
 
 class MissionHeard:
     """What has been heard of a mission so far."""
 
     def __init__(self, bus: Bus, system: int | None) -> None:
-        """Take the bus that decodes, and the vehicle's MAVLink system id if it is known beforehand."""
         self._bus = bus
         self._system = system or 0
         self._area = AreaFrame()
@@ -93,14 +130,14 @@ class MissionHeard:
     def _follow_down(self, payload: bytes) -> None:
         """Note where the vehicle stands, m from home."""
         with contextlib.suppress(BadFrame):
-            for frame, fields in frames(payload, {*PLACING, LOCAL}, self._is_vehicle):
+            vehicle = self.system, AUTOPILOT
+            for frame, fields in frames(
+                payload, {*PLACING, LOCAL}, lambda frame: (frame.system, frame.component) == vehicle
+            ):
                 if frame.message_id in PLACING:
                     self._area.take(frame.message_id, fields)
                 elif (place := self._area.place(fields)) and (self._area.on_ground or place[2] < ON_GROUND_M):
                     self.landed_at = place[:2]
-
-    def _is_vehicle(self, frame: Frame) -> bool:
-        return frame.system == self.system and frame.component == AUTOPILOT
 
 
 class HeardTrace:
@@ -110,7 +147,6 @@ class HeardTrace:
     """
 
     def __init__(self) -> None:
-        """Begin with nothing heard."""
         self._points: dict[int, TracePoint] = {}
         self._times: dict[int, float] = {-1: -math.inf}
         # The time of the newest belief, ms, which goes on where time_boot_ms wraps; before any,
@@ -121,8 +157,9 @@ class HeardTrace:
         self._whole_to = -1
 
     def reading(self, payload: bytes, system: int | None) -> None:
-        """Take a reading of a system, or with None of any; one that cannot be read is left to the
-        estimator, which refuses it.
+        """Take a reading of a system, or with None of any.
+
+        One that cannot be read is left to the estimator, which refuses it.
         """
         try:
             said = unpack_reading(payload, system)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from aircraft.operator import AUTOPILOT, LAUNCHER, SEARCH, CommandName, order
+from aircraft.operator import AUTOPILOT, LAUNCHER, SEARCH, order
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.log import LEVELS
@@ -21,19 +21,27 @@ from link.terminal import printable
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.worlds import AS_MODELLED
-from sitl.launch.child import Ended, LogLine, MissionFailed, raise_for
 from sitl.launch.disturbances import Disturbances
-from sitl.launch.heard import MissionHeard
-from sitl.launch.joining import await_services
+from sitl.launch.heard import MissionHeard, await_services
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
-from sitl.launch.processes import FLYING, KINDS, RECORDER, ROUTER, Processes, secure_words
+from sitl.launch.processes import (
+    FLYING,
+    KINDS,
+    RECORDER,
+    ROUTER,
+    Ended,
+    LogLine,
+    MissionFailed,
+    Processes,
+    raise_for,
+    secure_words,
+)
 from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
-from sitl.launch.viewing import MissionPage
+from sitl.launch.viewing import NO_PAGE, MissionPage
 from sitl.launch.watchdog import LOOK_S, Watchdog
-from sitl.script.events import Cut, Kill
-from sitl.script.script import Expectation, Script
+from sitl.script.script import Cut, Expectation, Script
 
 PAYLOAD = "payload"
 CALL_EVERY_S = 1.0  # real time between two commands to return home
@@ -54,50 +62,62 @@ class Flown(NamedTuple):
 
     def json(self, *, with_trace: bool) -> str:
         """One line of JSON, with the expectations if there are any."""
-        expectations = {"expectations": self.expectations} if self.expectations else {}
-        return outcome_json(self.outcome, self.trace if with_trace else None, expectations)
+        return outcome_json(
+            self.outcome,
+            self.trace if with_trace else None,
+            {"expectations": self.expectations} if self.expectations else {},
+        )
 
 
-def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | None = None) -> Flown:
+def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
     """Fly a mission, record it to files and show it on a page, which stays.
 
     Raises MissionFailed if a part dies or hangs, or if the vehicle gives up unexpectedly.
     """
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
-        starting = ["uav"] if mission.router.connect else [ROUTER, "uav", "estimator", "agent"]
-        starting += [PAYLOAD] * bool(mission.real)
+        payload = [PAYLOAD] * bool(mission.real)
+        starting = ["uav" if mission.connect else "router, uav, estimator, agent", *payload]
         progress = stack.enter_context(Progress(mission.script.budget, ", ".join(starting)))
         processes = stack.enter_context(Processes(inbox))
-        if page:
-            stack.callback(page.over, processes)
+        stack.callback(page.over, processes)
         relays: dict[str, Relay] = {}
 
         def join(endpoint: str) -> Bus:
-            secure = mission.router.secure
-            bus = Bus("mission", endpoint, mission.namespace, inbox, announced=False, secure=secure)
-            stack.enter_context(bus)
+            bus = stack.enter_context(
+                Bus(
+                    "mission",
+                    endpoint,
+                    mission.namespace,
+                    inbox,
+                    announced=False,
+                    secure=mission.secure,
+                )
+            )
             bus.subscribe(READING, BELIEF, STOP, HEALTH)
             return bus
 
-        if mission.router.connect:
-            bus = join(mission.router.connect)
-            wait_s = mission.real.wait_s if mission.real else math.inf
-            policy = await_services(bus, mission.namespace, progress.say, wait_s)
+        if mission.connect:
+            bus = join(mission.connect)
+            policy = await_services(
+                bus, mission.namespace, progress.say, mission.real.wait_s if mission.real else math.inf
+            )
             mission = replace(mission, script=mission.script.changed({"agent.policy": policy}))
         endpoint = start_parts(processes, mission, relays, page, progress.say)
         if files:
             files.made = True
-        if not mission.router.connect:
+        if not mission.connect:
             bus = join(endpoint)
         for relay in relays.values():
             stack.callback(relay.close)
-        watched = [ROUTER, "uav", *SEARCHERS]
-        watched += [PAYLOAD] * bool(mission.real) + [RECORDER] * bool(mission.record)
-        now_s, say = time.monotonic(), progress.say
-        watchdog = Watchdog(watched, mission.patience_s, now_s, say, processes.tell_stacks)
-        events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
-        disturbances = Disturbances(events, processes, relays, watchdog, say)
+        watchdog = Watchdog(
+            [ROUTER, "uav", *SEARCHERS, *payload, *[RECORDER] * bool(mission.record)],
+            mission.patience_s,
+            time.monotonic(),
+            progress.say,
+            processes.tell_stacks,
+        )
+        disturbances = Disturbances(mission.script.events, processes, relays, watchdog, progress.say)
         return MissionWatch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()
 
 
@@ -105,7 +125,7 @@ def start_parts(
     processes: Processes,
     mission: Launch,
     relays: dict[str, Relay],
-    page: MissionPage | None = None,
+    page: MissionPage = NO_PAGE,
     say: Callable[[str], None] = print,
 ) -> str:
     """Start all parts that do not run elsewhere; returns the router's endpoint.
@@ -115,8 +135,8 @@ def start_parts(
     Raises MissionFailed if the router or the recorder cannot start.
     """
     script, real = mission.script, mission.real
-    connect, secured = mission.router.connect, secure_words(mission.router.secure)
-    endpoint = connect or processes.start_router(mission.router.listen, mission.router.secure)
+    connect, secured = mission.connect, secure_words(mission.secure)
+    endpoint = connect or processes.start_router(mission.listen, mission.secure)
     level = "debug" if mission.log_level == "debug" else "info"  # the launcher filters what it shows
     for part in sorted({event.part for event in script.events if isinstance(event, Cut)}):
         relays[part] = Relay(endpoint)
@@ -125,9 +145,9 @@ def start_parts(
         router = relays[part].endpoint if part in relays else endpoint
         return "--connect", router, "--namespace", mission.namespace, "--log-level", level, *secured
 
-    services = {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
-    if connect:
-        services = {}
+    services = (
+        {} if connect else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
+    )
     about = {
         "namespace": mission.namespace,
         "mission": script,
@@ -143,20 +163,19 @@ def start_parts(
     about_json = msgspec.json.encode(about).decode()
     recorder = None
     if mission.record:
-        words = (str(mission.record), *joining(RECORDER), "--about", about_json)
-        recorder = processes.start(RECORDER, "sitl", "record", *words)
-    if page:
-        page.start(processes, ("--connect", endpoint, *secured), about_json)
+        recorder = processes.start(
+            RECORDER, "sitl", "record", str(mission.record), *joining(RECORDER), "--about", about_json
+        )
+    page.start(processes, ("--connect", endpoint, *secured), about_json)
     for service, arguments in services.items():
         processes.start(service, service, *joining(service), *arguments)
     if recorder:
         processes.answer(recorder)  # it records everything from now on
-    if page:
-        page.await_start(say)
+    page.await_start(say)
     uav_words = [*mission.uav_arguments, *joining("uav"), "-I", str(mission.instance)]
     if real:
-        words = ("--payload", real.payload, *real.payload_arguments, *joining(PAYLOAD))
-        processes.start(PAYLOAD, "sitl", "payload", *words)
+        measures = ("--payload", real.payload, *real.payload_arguments)
+        processes.start(PAYLOAD, "sitl", "payload", *measures, *joining(PAYLOAD))
         processes.start("uav", "sitl", "uav", "--vehicle", real.url, *uav_words, kind=FLYING)
     else:
         processes.start("uav", "sitl", "uav", *uav_words)
@@ -176,13 +195,8 @@ class MissionWatch:
         endpoint: str,
         files: RecordFiles | None,
     ) -> None:
-        """Take the mission, where it is heard and shown, what goes wrong on purpose, and the files of its
-        record.
-        """
         self._mission = mission
-        self._script = mission.script
         self._bus = bus
-        self._say = progress.say
         self._progress = progress
         self._watchdog = watchdog
         self._disturbances = disturbances
@@ -209,6 +223,7 @@ class MissionWatch:
 
     def _await_search(self) -> None:
         """Wait until the search is over: its last belief has come, with the compute times that follow it.
+
         What does not come within the patience counts as lost.
         """
         heard, lost_at = self._heard, math.inf
@@ -224,7 +239,7 @@ class MissionWatch:
     def _has_ended(self) -> bool:
         """Whether the last belief has come."""
         last = self._heard.last
-        return last is not None and (last.ceased or last.step >= self._script.budget)
+        return last is not None and (last.ceased or last.step >= self._mission.script.budget)
 
     def _is_complete(self) -> bool:
         """Whether the last belief has come, and then the health of those who made it and answered it."""
@@ -239,20 +254,23 @@ class MissionWatch:
         heard = self._heard
         if heard.stopped and not self._has_ended():
             raise MissionFailed("the estimator has declared the stop, but its last belief was not received")
-        broken_off = heard.landed and not self._has_ended() and not self._script.expectations
+        broken_off = heard.landed and not self._has_ended() and not self._mission.script.expectations
         if heard.last is None or broken_off:
             if heard.landed and (how := "; ".join(heard.health["uav"].warnings)):
                 raise MissionFailed(how)
-            words = self._last_words.get("uav", "none")
-            raise MissionFailed(f"the uav landed before the search was over; its last words: {words}")
+            raise MissionFailed(
+                "the uav landed before the search was over; its last words: "
+                + self._last_words.get("uav", "none")
+            )
         return heard.last
 
     def _time_s(self, step: int) -> float:
-        """Return the time that a script's events count by, s: a reading's own, but a real vehicle's clock
-        began before the mission.
+        """Return the time that a script's events count by, s.
+
+        It is a reading's own, but a real vehicle's clock began before the mission.
         """
         if self._mission.real:
-            return (time.monotonic() - self._began_at) * self._script.speedup
+            return (time.monotonic() - self._began_at) * self._mission.script.speedup
         return self._heard.trace.time_s(step)
 
     def _listen(self, timeout_s: float | None) -> None:
@@ -286,20 +304,20 @@ class MissionWatch:
             case Ended(part=part) if part in KINDS and (spared := KINDS[part].spared):
                 self._gone.add(part)
                 self._watchdog.ended(part)
-                self._say(f"warning: {spared}: {item.last_words}")
+                self._progress.say(f"warning: {spared}: {item.last_words}")
             case Ended():
                 raise_for(item)
             case LogLine(part, line, level):
                 self._last_words[part] = line
                 if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or SHOWN.search(line):
-                    self._say(line)
-            case LivelinessChange(service, alive) if self._mission.router.connect and service in SEARCHERS:
+                    self._progress.say(line)
+            case LivelinessChange(service, alive) if self._mission.connect and service in SEARCHERS:
                 if not alive:
                     self._gone.add(service)
-                    self._say(f"warning: the {service} is gone")
+                    self._progress.say(f"warning: the {service} is gone")
                 elif service in self._gone:
                     self._gone.remove(service)
-                    self._say(f"the {service} is back")
+                    self._progress.say(f"the {service} is back")
                     self._watchdog.begins(service, now_s)
             case Arrival():
                 is_first = self._heard.last is None
@@ -313,14 +331,16 @@ class MissionWatch:
 
     def _introduce(self) -> None:
         """Say what is flown, once the search has begun; from then on its record counts."""
-        script = self._script
+        script = self._mission.script
         if script.about:
-            self._say(printable(script.about))
+            self._progress.say(printable(script.about))
         where = "" if script.world == AS_MODELLED else f"world {script.world}, "
-        self._say(f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}")
-        self._say(f"router at {self._endpoint}")
+        self._progress.say(
+            f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}"
+        )
+        self._progress.say(f"router at {self._endpoint}")
         if self._files and (trouble := self._files.take_place()):
-            self._say(f"warning: {trouble}")
+            self._progress.say(f"warning: {trouble}")
 
     # ---- what follows it ----
 
@@ -329,8 +349,8 @@ class MissionWatch:
 
         A stop sends it on its way; else it is commanded each second.
         """
-        heard, expected = self._heard, self._script.expectations
-        home, after = "returned home" in expected, self._script.vehicle.after_stop
+        heard, expected = self._heard, self._mission.script.expectations
+        home, after = "returned home" in expected, self._mission.script.vehicle.after_stop
         if after == "hold":
             if not home and "landed" not in expected:
                 return
@@ -338,18 +358,17 @@ class MissionWatch:
         if home:
             self._bus.subscribe(MAVLINK_OUT)  # where it has landed
         if not heard.landed:
-            self._say("returning home" if after == "return" else "landing")
-        word: CommandName = "return" if after == "return" else "land"
+            self._progress.say("returning home" if after == "return" else "landing")
         codec, call_at, lost_at = Codec(*LAUNCHER), 0.0, math.inf
         while not heard.landed or (home and heard.landed_at is None and time.monotonic() < lost_at):
             if heard.landed:  # the place where it stands is not waited for without end
                 lost_at = min(lost_at, time.monotonic() + LAG_S)
             if heard.state in ("paused", "holding"):
-                self._say("a pilot leads the vehicle: it is left to them")
+                self._progress.say("a pilot leads the vehicle: it is left to them")
                 return
             if heard.state == "searching" and not last.ceased and time.monotonic() >= call_at:
-                component = SEARCH if self._mission.real else AUTOPILOT
-                self._bus.publish(MAVLINK_IN, codec.pack(order(word, heard.system, component)))
+                call = order(after, heard.system, SEARCH if self._mission.real else AUTOPILOT)
+                self._bus.publish(MAVLINK_IN, codec.pack(call))
                 call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)
 
@@ -360,26 +379,35 @@ class MissionWatch:
             if RECORDER in health and health[RECORDER].step >= step:
                 return
             if time.monotonic() >= deadline:
-                self._say("warning: the record lacks the last readings: they came too late")
+                self._progress.say("warning: the record lacks the last readings: they came too late")
                 return
             self._listen(deadline - time.monotonic())
 
     def _flown(self, last: Belief) -> Flown:
-        script, heard = self._script, self._heard
+        script, heard = self._mission.script, self._heard
         points, missing = heard.trace.points(), heard.trace.missing
         lost = f"{missing} of {last.step + 1} beliefs were not received"
         if points is None:
             raise MissionFailed(f"{lost}: the trace has gaps")
         if missing:
-            self._say(f"warning: {lost}: of these the trace has the readings")
+            self._progress.say(f"warning: {lost}: of these the trace has the readings")
         for number, event in enumerate(script.events):
             if event.step is not None and event.step > last.step:
-                why = f"the search ended at step {last.step}"
-                self._say(f"warning: events[{number}] of step {event.step} did not happen: {why}")
-        searchers = [heard.health[service] for service in ("estimator", "agent") if service in heard.health]
-        search_time_s = sum(health.compute_s for health in searchers)
-        said = last.ceased, search_time_s, last.assume, last.stop, script.world
-        result = outcome(script.seed, script.agent.policy, self._mission.truth, points, *said)
+                self._progress.say(
+                    f"warning: events[{number}] of step {event.step} did not happen: "
+                    f"the search ended at step {last.step}"
+                )
+        result = outcome(
+            script.seed,
+            script.agent.policy,
+            self._mission.truth,
+            points,
+            last.ceased,
+            sum(heard.health[each].compute_s for each in ("estimator", "agent") if each in heard.health),
+            last.assume,
+            last.stop,
+            script.world,
+        )
         located = bool(result.located)
         came_true = {
             "ceased": result.ceased,

@@ -1,8 +1,8 @@
-"""What a launcher is to fly, and the command lines of the services that fly it."""
+"""What a launcher is to fly, what cannot be flown, and the command lines of the services that fly it."""
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,20 +13,11 @@ from plume.randomness import derived_seed
 from plume.scenario import Scenario
 from plume.worlds import AS_MODELLED
 from sitl.launch.watchdog import PATIENCE_S
-from sitl.script.script import Expectation, Script
+from sitl.script.script import AgentPart, Cut, EstimatorPart, Expectation, Kill, Lawnmower, Script, Waypoints
 
 # Expectations that need the source's true position.
 TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})
-
-
-@dataclass(frozen=True, kw_only=True)
-class RouterChoice:
-    """The router of a mission."""
-
-    listen: str = "tcp/127.0.0.1:0"
-    # A router elsewhere, whose estimator and agent fly the mission; None: all are started here.
-    connect: str | None = None
-    secure: Path | None = None  # the folder of certificates; None: nothing is secured
+USUAL = {"estimator": EstimatorPart(), "agent": AgentPart()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +39,10 @@ class Launch:
     sysid: int | None = None  # MAVLink system id; None: that of the instance, or of the real autopilot
     # The script's file and the flags that change it: the uav reads them itself.
     uav_arguments: Sequence[str] = ()
-    router: RouterChoice = RouterChoice()
+    listen: str = "tcp/127.0.0.1:0"  # of the router
+    # A router elsewhere, whose estimator and agent fly the mission; None: all are started here.
+    connect: str | None = None
+    secure: Path | None = None  # the folder of certificates; None: nothing is secured
     real: RealVehicle | None = None  # None: the simulated vehicle
     record: Path | None = None  # the MCAP file to record to
     log_level: str = "warning"
@@ -81,23 +75,48 @@ def check_payload(script: Script, payload: str) -> None:
     release = script.scenario
     for name in release.__struct_fields__:
         if name != "start" and getattr(release, name) is not None:
-            why = "its plume is real; what the estimator assumes is in its own part"
-            raise BadInput(f"MISSION: scenario.{name} is not allowed with {real}: {why}")
+            raise BadInput(
+                f"MISSION: scenario.{name} is not allowed with {real}: its plume is real; "
+                "what the estimator assumes is in its own part"
+            )
     for judged in sorted(TRUTH_NEEDED & {*script.expectations}):
-        why = "nobody knows where the source is"
-        raise BadInput(f"MISSION: expect: {judged!r} is not allowed with {real}: {why}")
+        raise BadInput(
+            f"MISSION: expect: {judged!r} is not allowed with {real}: nobody knows where the source is"
+        )
+
+
+def check_connect(script: Script, given: Collection[str]) -> None:
+    """Raise BadInput if a script cannot be flown with services that run elsewhere.
+
+    `given`: fields set by flags, such as agent.policy.
+    """
+    for part, usual in USUAL.items():
+        chosen = getattr(script, part)
+        for field in sorted(chosen.__struct_fields__):
+            name = f"{part}.{field}"
+            changed = name in given or getattr(chosen, field) != getattr(usual, field)
+            if changed and name != "agent.budget":  # the launcher uses the budget, too: it ends the mission
+                raise BadInput(
+                    f"--connect: {name} cannot be chosen: the {part} runs elsewhere, with its own flags"
+                )
+    for number, event in enumerate(script.events):
+        if isinstance(event, Kill | Cut | Waypoints | Lawnmower):
+            raise BadInput(
+                f"--connect: events[{number}], {event.__struct_config__.tag}, cannot happen: "
+                "it needs parts that this command starts"
+            )
 
 
 def estimator_arguments(mission: Launch) -> list[str]:
-    """Return the estimator's flags: what it assumes, and a seed of its own, as the mission's would reveal
-    the source.
+    """Return the estimator's flags: what it assumes, and a seed of its own.
 
-    With a real plume it assumes what the script says, and its own defaults for the rest.
+    The mission's seed would reveal the source. With a real plume it assumes what the script says, and its own
+    defaults for the rest.
     """
     script, part = mission.script, mission.script.estimator
     release = script.release() if mission.truth else None
     q, d, tau = (release.q, release.d, release.tau) if release else (None, None, None)
-    flags = {
+    flags: dict[str, Any] = {
         "--particles": part.particles,
         "--assume": part.assume,
         "--stop": part.criterion,
@@ -108,15 +127,15 @@ def estimator_arguments(mission: Launch) -> list[str]:
         "--lifetime": part.lifetime or tau,
         "--seed": derived_seed(script.seed, "estimator"),
         "--sysid": mission.system,
+        "--prior": [f"{name}={prior}" if prior else name for name, prior in part.prior.items()],
     }
-    priors = [f"{name}={prior}" if prior else name for name, prior in part.prior.items()]
-    return [*_words(flags), *(word for prior in priors for word in ("--prior", prior))]
+    return _words(flags)
 
 
 def agent_arguments(mission: Launch) -> list[str]:
     """Return the agent's flags."""
-    script, agent = mission.script, mission.script.agent
-    flags = {
+    script, agent, scripted = mission.script, mission.script.agent, mission.script.scripted()
+    flags: dict[str, Any] = {
         "--policy": None if agent.policy == "none" else agent.policy,
         "--budget": script.budget,
         "--headings": agent.headings,
@@ -124,11 +143,9 @@ def agent_arguments(mission: Launch) -> list[str]:
         "--measurements": agent.measurements,
         "--seed": derived_seed(script.seed, "agent"),
         "--sysid": mission.system,
+        "--waypoints": [_path(scripted, step) for step in sorted(scripted) if step - 1 not in scripted],
     }
-    scripted = script.scripted()
-    starts = [step for step in scripted if step - 1 not in scripted]
-    paths = [_path(scripted, step) for step in sorted(starts)]
-    return [*_words(flags), *(word for path in paths for word in ("--waypoints", path))]
+    return _words(flags)
 
 
 def _path(scripted: Mapping[int, tuple[float, float]], start: int) -> str:
@@ -139,4 +156,10 @@ def _path(scripted: Mapping[int, tuple[float, float]], start: int) -> str:
 
 
 def _words(flags: Mapping[str, Any]) -> list[str]:
-    return [word for flag, value in flags.items() if value is not None for word in (flag, str(value))]
+    pairs = [
+        (flag, str(each))
+        for flag, value in flags.items()
+        for each in (value if isinstance(value, list) else [value])
+        if each is not None
+    ]
+    return list(itertools.chain(*pairs))

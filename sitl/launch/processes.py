@@ -1,20 +1,50 @@
-"""The parts of a mission as child processes: started, and ended together."""
+"""The parts of a mission as processes: how each starts, what it prints, and how all end together."""
 
 import contextlib
 import os
 import queue
+import re
 import signal
+import subprocess
 import sys
+import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, NamedTuple, NoReturn, Self
 
+from link.bus import log
 from link.bus.inbox import Inbox
-from link.interrupts import uninterrupted
-from sitl.launch.child import Child, Ended, PartKind, raise_for
+from link.bus.session import SIGNAL_POLL_S
+from link.cli import BAD_INPUT, FAILED
+from link.early import INTERRUPTED, ask_for_stacks
+from link.interrupts import LAUNCHER, uninterrupted
 
+ROOT = Path(__file__).parents[2]  # where our packages are
+# Time to a part's first message, until people are told and until it counts as hung: on a slow machine it
+# may compile for minutes.
+START_WARN_S, START_LIMIT_S = 15.0, 300.0
+# How long to read on after a part has ended: its own children may hold its stdout and stderr open.
+LEFT_OPEN_S = 0.5
+# How a line of the stacks begins that a part prints when it hangs.
+STACK = re.compile(r'((Current t|T)hread 0x[0-9a-f]+ |File ".*", line \d+ in )')
+LONGEST_LINE = 4_000  # characters of a line that are kept
 STOP_TIMEOUT_S = 1.0  # how long a part may take to end
 STACKS_S = 0.5  # how long a part that is about to be killed may take to write its stacks
+
+
+@dataclass(frozen=True)
+class PartKind:
+    """How a part starts and ends, where it differs from others."""
+
+    answers: bool = False  # it prints a first line on stdout for the launcher when it is ready
+    spared: str = ""  # what to say when it ends and the mission goes on; empty: the mission fails
+    turn: int = 1  # parts end in the order of their turns, those of one turn at a time
+    last_task: str = ""  # what may keep it longer than others when it is asked to end
+    last_task_s: float = 0.0  # how much longer
+    if_killed: str = ""  # what it means if it does not end in time
+
+
 ROUTER, RECORDER, PAGE = "router", "recorder", "view"
 # The parts that differ from others.
 KINDS = {
@@ -35,6 +65,162 @@ FLYING = PartKind(
 )
 
 
+class Ended(NamedTuple):
+    """A part is gone; its last words say why."""
+
+    part: str
+    status: int
+    last_words: str
+
+
+class LogLine(NamedTuple):
+    """A line that a part wrote, as people see it."""
+
+    part: str
+    line: str
+    level: str = "info"
+
+
+class MissionFailed(Exception):
+    """A mission or a replay cannot go on; the text says why, the status is the launcher's exit status."""
+
+    def __init__(self, text: str, status: int = FAILED) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+def raise_for(ended: Ended) -> NoReturn:
+    """Raise the exception that the end of a part means for the mission."""
+    if ended.status == INTERRUPTED:
+        raise KeyboardInterrupt  # an interrupted part ends the mission as Ctrl-C does
+    if ended.status == BAD_INPUT:
+        raise MissionFailed(ended.last_words.rpartition("error: ")[2], BAD_INPUT)
+    how = (
+        f"exited with status {ended.status}" if ended.status >= 0 else f"was killed by signal {-ended.status}"
+    )
+    raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of a part: it finds our packages, whatever lies in the current folder."""
+    found = {**os.environ, LAUNCHER: str(os.getpid()), "PYTHONSAFEPATH": "1"}
+    if ROOT.name not in ("site-packages", "dist-packages"):  # in a checkout, which need not be installed
+        found["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    return found
+
+
+class Child:
+    """One part as a process.
+
+    It leads a process group: its children end with it, and a terminal's Ctrl-C reaches only the launcher.
+    """
+
+    def __init__(self, part: str, kind: PartKind, words: tuple[str, ...], inbox: Inbox) -> None:
+        """Start `python -m words`. Its output and its end go into the inbox."""
+        self.part = part
+        self.kind = kind
+        self.words = words
+        self.killed = False  # on purpose: then its end is not reported
+        self._inbox = inbox
+        self._answer = Inbox()
+        self._awaited = kind.answers
+        self._lines = inbox.lane(f"lines of the {part}")
+        self._last_words = "no last words"
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            encoding="utf-8",
+            errors="replace",
+            process_group=0,
+            env=environment(),
+        )
+        self.pid = self._process.pid
+        self._thread = threading.Thread(target=self._watch, name=part, daemon=True)
+        self._thread.start()
+
+    def readline(self) -> str:
+        """Wait for the answer of a part that answers; empty if it ends without one.
+
+        Raises MissionFailed if it hangs.
+        """
+        began, told = time.monotonic(), False
+        while True:
+            with contextlib.suppress(queue.Empty):
+                return str(self._answer.get(timeout=SIGNAL_POLL_S))
+            waited_s = time.monotonic() - began
+            if waited_s >= START_LIMIT_S:
+                raise MissionFailed(
+                    f"the {self.part} has said nothing in {START_LIMIT_S:g} s since it was started"
+                )
+            if waited_s >= START_WARN_S and not told:
+                print(f"waiting for the {self.part} to start", file=sys.stderr)
+                told = True
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self._process.send_signal(number)  # does nothing if it has ended
+
+    def kill(self) -> None:
+        """Kill it and its children."""
+        with contextlib.suppress(OSError):  # already gone
+            os.killpg(self.pid, signal.SIGKILL)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Return whether it ends in time."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout_s)
+        return self._process.returncode is not None
+
+    def join(self) -> None:
+        """Wait until it has ended and all its output has been passed on."""
+        self._thread.join()
+
+    def _watch(self) -> None:
+        """Pass on its output and its end. Its children end with it, unless they left the process group."""
+        readers = [
+            threading.Thread(target=self._read, args=(pipe,), name=f"output of {self.part}", daemon=True)
+            for pipe in (self._process.stdout, self._process.stderr)
+        ]
+        for reader in readers:
+            reader.start()
+        status = self._process.wait()
+        self.kill()
+        for reader in readers:
+            reader.join(LEFT_OPEN_S)
+        if not self.killed:
+            self._inbox.put(Ended(self.part, status, self._last_words))
+        self._answer.put("")
+
+    def _read(self, pipe: IO[str]) -> None:
+        """Pass on the lines of a pipe; a long line is cropped."""
+        with pipe:
+            while line := pipe.readline(LONGEST_LINE):
+                text = line.strip()
+                if not line.endswith("\n") and (line := pipe.readline(LONGEST_LINE)).strip():
+                    text += " …"
+                    while line and not line.endswith("\n"):
+                        line = pipe.readline(LONGEST_LINE)
+                if text:
+                    self._said(text, pipe is self._process.stdout)
+
+    def _said(self, line: str, on_stdout: bool) -> None:
+        if on_stdout and self._awaited:
+            self._awaited = False
+            self._answer.put(line)
+        elif STACK.match(line):  # at once: it is about to be killed, and then nobody reads the inbox
+            print(f"{self.part}: {line}", file=sys.stderr)
+        elif on_stdout:
+            self._lines(LogLine(self.part, f"{self.part}: {line}", "info"), len(line))
+        else:
+            level, self._last_words = log.parse(line)
+            self._lines(LogLine(self.part, self._last_words, level), len(line))
+
+
+# ---- all of them ----
+
+
 def secure_words(secure: Path | None) -> tuple[str, ...]:
     """Return the flag that tells a part where the certificates are."""
     return () if secure is None else ("--secure", str(secure))
@@ -44,11 +230,8 @@ class Processes:
     """The child processes; their output and ends go into the inbox."""
 
     def __init__(self, inbox: Inbox) -> None:
-        """Start with none."""
         self._inbox = inbox
         self._children: dict[str, Child] = {}
-        self._commands: dict[str, tuple[str, ...]] = {}
-        self._all: list[Child] = []
         self._suspended_before: Any = None
 
     def start(self, part: str, *words: str, kind: PartKind | None = None) -> Child:
@@ -56,8 +239,6 @@ class Processes:
         with uninterrupted():
             child = Child(part, kind or KINDS.get(part, PartKind()), words, self._inbox)
             self._children[part] = child
-            self._commands[part] = words
-            self._all.append(child)
         return child
 
     def start_router(self, listen: str, secure: Path | None = None) -> str:
@@ -66,8 +247,9 @@ class Processes:
         Raises MissionFailed if it cannot listen.
         """
         words = ("sitl", "router", *secure_words(secure), "--listen")
-        endpoint = self.answer(self.start(ROUTER, *words, listen))
-        self._commands[ROUTER] = (*words, endpoint)
+        router = self.start(ROUTER, *words, listen)
+        endpoint = self.answer(router)
+        router.words = *words, endpoint
         return endpoint
 
     def answer(self, child: Child) -> str:
@@ -80,31 +262,29 @@ class Processes:
 
     def release(self, part: str) -> None:
         """Let a part outlast the others: its end is the caller's business."""
-        self._all.remove(self._children.pop(part))
+        del self._children[part]
 
     def tell_stacks(self, part: str) -> None:
-        """Let a part of ours that hangs print where its threads are."""
+        """Let a part of ours that hangs print where its threads are; a stopped one does once it continues."""
         if child := self._children.get(part):
-            child.tell_stacks()
+            ask_for_stacks(child.pid)
 
     def kill(self, part: str) -> None:
         """Kill a part on purpose: its end is not reported."""
         child = self._children[part]
         child.killed = True
         child.kill()
-        child.wait(STOP_TIMEOUT_S)
+        child.join()
 
     def restart(self, part: str) -> None:
         """Start a killed part again with its first command; a router at its old endpoint."""
-        self.start(part, *self._commands[part])
+        self.start(part, *self._children[part].words)
 
     def __enter__(self) -> Self:
-        """Enter a with block; its end ends all processes."""
         self._suspended_before = signal.signal(signal.SIGTSTP, self._suspend)
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End all of them."""
         self.stop()
         signal.signal(signal.SIGTSTP, self._suspended_before)
 
@@ -122,14 +302,12 @@ class Processes:
         with contextlib.suppress(KeyboardInterrupt), uninterrupted():
             for turn in sorted({child.kind.turn for child in self._children.values()}):
                 _end([child for child in self._children.values() if child.kind.turn == turn])
-            for child in self._all:
+            for child in self._children.values():
                 child.join()
             self._tell_what_the_recorder_lacks()
 
     def _tell_what_the_recorder_lacks(self) -> None:
-        """Tell what stopped the recording at the mission's end, when nobody reads the inbox any more: a
-        full disk, for example.
-        """
+        """Tell what stopped the recording, such as a full disk, when nobody reads the inbox any more."""
         with contextlib.suppress(queue.Empty):
             while True:
                 item = self._inbox.get(timeout=0.0)
@@ -156,5 +334,5 @@ def _await_last_task(child: Child) -> bool:
     if child.wait(child.kind.last_task_s):
         return True
     print(f"warning: the {child.part} hangs and is killed: {child.kind.if_killed}", file=sys.stderr)
-    child.tell_stacks()
+    ask_for_stacks(child.pid)
     return child.wait(STACKS_S)

@@ -1,5 +1,6 @@
 """What a mission shows while it flies: one live line on a terminal, a line now and then elsewhere."""
 
+import math
 import time
 
 from rich.console import Console
@@ -18,25 +19,21 @@ class Progress:
     """Shows on stderr what a mission waits for, then its newest belief."""
 
     def __init__(self, budget: int, starting: str = "router, uav, estimator, agent") -> None:
-        """Take the step budget, which is shown beside the step, and what is being started."""
         self._budget = budget
         self._ceased = False
         self._reason = ""
-        self._waiting_since = 0.0
-        self._said = False
+        self._say_at = math.inf
         self._console = Console(stderr=True, highlight=False)
         self._live = Live(
             _line(f"starting {starting}"), console=self._console, refresh_per_second=10, transient=True
         )
 
     def __enter__(self) -> "Progress":
-        """Begin to show."""
         if self._console.is_terminal:
             self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Clear the live line."""
         if self._console.is_terminal:
             self._live.stop()
 
@@ -51,13 +48,10 @@ class Progress:
         Called again and again: without a live line it is printed once, if it lasts.
         """
         if reason != self._reason:
-            self._reason, self._waiting_since, self._said = reason, time.monotonic(), False
+            self._reason, self._say_at = reason, time.monotonic() + SAY_AFTER_S
             self._live.update(_line(reason))
-        if (
-            not (self._said or self._console.is_terminal)
-            and time.monotonic() - self._waiting_since >= SAY_AFTER_S
-        ):
-            self._said = True
+        if not self._console.is_terminal and time.monotonic() >= self._say_at:
+            self._say_at = math.inf
             self.say(reason)
 
     def show(self, belief: Belief, distance_m: float) -> None:

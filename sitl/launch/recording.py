@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
@@ -15,7 +16,6 @@ class RecordFiles:
     """An .mcap and the .tlog beside it. Older files of these names stay until a search has begun."""
 
     def __init__(self, path: Path) -> None:
-        """Take the path of the .mcap."""
         self._wanted = path
         self.path = path  # where the recorder writes
         self.made = False  # whether the recorder has made the files
@@ -55,12 +55,14 @@ class RecordFiles:
             print(f"record   {self.path}", file=to)
 
     def give_up(self, *, refused: bool) -> None:
-        """Clean up after a failed mission: delete the record if it was refused, or if older files are
-        still in place.
+        """Clean up after a failed mission, and say where its record is.
+
+        It is deleted if it was refused, or if older files are still in place.
         """
         if self.made and (refused or self.path != self._wanted):
             for path in both(self.path):
                 path.unlink(missing_ok=True)
+        self.tell(sys.stderr)
 
 
 def both(path: Path) -> tuple[Path, Path]:

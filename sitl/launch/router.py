@@ -65,8 +65,10 @@ def run(args: argparse.Namespace) -> int:
     with session:
         print(listening, flush=True)
         if not args.secure and endpoint_is_open(args.listen):
-            risk = "whoever reaches it can command the vehicle (--secure DIR admits by role)"
-            log.warning(f"{args.listen} is open to other machines: {risk}")
+            log.warning(
+                f"{args.listen} is open to other machines: whoever reaches it can command the vehicle "
+                "(--secure DIR admits by role)"
+            )
         crowds = Crowds(session)
         session.declare_subscriber(f"uav/*/{STOP.name}", lambda sample: _tell_stop(log, sample))
         while True:

@@ -1,6 +1,4 @@
-"""The page of a mission: a part that starts with the others, and stays for a while when the mission is
-over.
-"""
+"""The page of a mission: a part that starts with the others, and stays for a while after the mission."""
 
 import contextlib
 import math
@@ -8,25 +6,26 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 
-from sitl.launch.child import Child, MissionFailed
-from sitl.launch.processes import PAGE, STOP_TIMEOUT_S, Processes
+from sitl.launch.processes import PAGE, STOP_TIMEOUT_S, Child, MissionFailed, Processes
 
 UNATTENDED_S = 30.0  # how long the page stays at most where nobody can press Ctrl-C
 
 
 class MissionPage:
-    """`plumeward view` beside a mission. The mission goes on without it."""
+    """`plumeward view` beside a mission, if it is wanted. The mission goes on without it."""
 
-    def __init__(self, *, opened: bool, attended: bool) -> None:
-        """Take whether to open it in a browser, and whether people wait at a terminal."""
-        self._words = ["--port", "0", *["--open"] * opened]
-        self._attended = attended
+    def __init__(self, *, wanted: bool = False, opened: bool = False, attended: bool = False) -> None:
+        self._wanted = wanted or opened
+        self._opened = opened  # in a browser
+        self._attended = attended  # people wait at a terminal
         self._child: Child | None = None
         self._address = ""
 
     def start(self, processes: Processes, joining: Sequence[str], about_json: str) -> None:
         """Start it; `joining` are the flags that name the router, `about_json` describes the mission."""
-        self._child = processes.start(PAGE, "sitl", "view", *joining, *self._words, "--about", about_json)
+        if self._wanted:
+            words = ("--port", "0", *["--open"] * self._opened, "--about", about_json)
+            self._child = processes.start(PAGE, "sitl", "view", *joining, *words)
 
     def await_start(self, say: Callable[[str], None]) -> None:
         """Wait until it is served, and say where."""
@@ -61,5 +60,7 @@ class MissionPage:
             self._child.signal(signal.SIGTERM)
             if not self._child.wait(2 * STOP_TIMEOUT_S):
                 self._child.kill()
-                self._child.wait(STOP_TIMEOUT_S)
             self._child.join()
+
+
+NO_PAGE = MissionPage()  # it starts nothing

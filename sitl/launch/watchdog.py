@@ -6,8 +6,7 @@ It has no clock: callers pass the time, s, and who was heard.
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from sitl.launch.child import START_LIMIT_S, START_WARN_S
-from sitl.launch.processes import KINDS, ROUTER
+from sitl.launch.processes import KINDS, ROUTER, START_LIMIT_S, START_WARN_S
 
 # Each part publishes its health every second: one that is silent for this long hangs, or its link is cut.
 WARN_S = 5.0
@@ -38,9 +37,7 @@ class Watchdog:
         say: Callable[[str], None],
         hangs: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Take parts that have just been started, how long one may be silent, how to tell people, and what
-        to do with one that hangs.
-        """
+        """Watch parts that have just been started; `hangs` is called with one that is silent for too long."""
         self._parts = {part: _Watched(now_s) for part in parts}
         self._patience_s = patience_s
         self._looked_s = now_s

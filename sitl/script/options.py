@@ -1,15 +1,14 @@
-"""The flags that say what is flown and simulated, and the script that they make: for `fly`, `uav` and
-`payload`.
-"""
+"""The flags that say what is flown and simulated, and the script that they make of a mission."""
 
 import argparse
 
+from aircraft.search.events import Wind
 from link import cli
 from link.cli import BadInput
 from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.worlds import AS_MODELLED, WORLDS, check
-from sitl.script.script import Script, find, load, shipped
+from sitl.script.script import Script, VehiclePart, find, load, shipped
 from sitl.script.typed_yaml import Document
 
 # The field of a mission script that each flag sets.
@@ -33,11 +32,25 @@ FIELDS = {
     "after_stop": "vehicle.after_stop",
     "strict": "vehicle.strict",
 }
+# Flags that mean nothing without another one, which one, and why.
+NEEDS = {
+    "wind": ("vehicle", "only with --vehicle; the simulated vehicle's wind is the mission's"),
+    "wait": ("vehicle", "only with --vehicle; the simulated vehicle is there at once"),
+    "payload": ("vehicle", "only with --vehicle; the simulated vehicle has a sensor of its own"),
+    "sign": ("out", "there is nothing to sign; wanted it with --out"),
+}
+# Flags that only the simulated vehicle takes, and why.
+SIMULATED_ONLY = {
+    "home": "a real vehicle's home is where it stands",
+    "strict": "a real autopilot has its own rules for OFFBOARD",
+}
+# Fields of a script's vehicle that a real one takes.
+TAKEN = ("takeoff_altitude_m", "silence_s", "after_stop")
 HOME = ("home_lat_deg", "home_lon_deg", "home_alt_m", "home_heading_deg")
 
 
-def add_mission_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the mission script."""
+def add_mission_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the mission script, the seed, the sensor and the world."""
     mission = parser.add_argument(
         "mission",
         nargs="?",
@@ -46,10 +59,6 @@ def add_mission_argument(parser: argparse.ArgumentParser) -> None:
         "override its fields",
     )
     cli.completed(mission, shipped, "yaml", "yml")
-
-
-def add_seed_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the seed."""
     parser.add_argument(
         "--seed",
         type=cli.whole(0, MAX_SEED),
@@ -57,10 +66,6 @@ def add_seed_argument(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seed of scenario and sensor noise (default: %(default)s)",
     )
-
-
-def add_world_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the sensor and the world."""
     kind = parser.add_argument(
         "--sensor",
         type=cli.checked(sensor.parse, sensor.KINDS),
@@ -98,9 +103,41 @@ def script_of(args: argparse.Namespace) -> Script:
         changes |= {f"vehicle.{field}": value for field, value in zip(HOME, given["home"], strict=True)}
     script = (load(args.mission) if args.mission else Script()).changed(changes)
     if script.agent.policy == "none" and not script.scripted():
-        wanted = "a policy, or a mission that scripts all its waypoints"
-        raise BadInput(f"--policy: 'none' is not allowed; wanted {wanted}")
+        raise BadInput(
+            "--policy: 'none' is not allowed; wanted a policy, or a mission that scripts all its waypoints"
+        )
     return script
+
+
+def script_for_vehicle(script: Script, args: argparse.Namespace) -> Script:
+    """Return the script of a mission as its vehicle flies it: a real one at its own speed.
+
+    Raises BadInput with the flag or field that the vehicle cannot take, and why.
+    """
+    given = args.given
+    for flag, (other, reason) in NEEDS.items():
+        if flag in given and other not in given:
+            raise BadInput(f"--{flag}: {reason}")
+    if "vehicle" not in given:
+        return script
+    for flag, reason in SIMULATED_ONLY.items():
+        if flag in given:
+            raise BadInput(f"--{flag}: not with --vehicle: {reason}")
+    speedup = given.get("speedup", 1.0)
+    if not speedup:
+        raise BadInput(
+            "--speedup: 0 is not allowed with --vehicle; wanted how fast its simulator runs, "
+            "1 for an aircraft"
+        )
+    if any(isinstance(event, Wind) for event in script.events):
+        raise BadInput("MISSION: a wind event is not allowed with --vehicle: its wind is measured")
+    usual = VehiclePart()
+    for field in usual.__struct_fields__:
+        if field not in TAKEN and getattr(script.vehicle, field) != getattr(usual, field):
+            raise BadInput(
+                f"MISSION: vehicle.{field} is not allowed with --vehicle: the autopilot has its own setting"
+            )
+    return script.changed({"speedup": speedup})
 
 
 def blamed(args: argparse.Namespace, flag: str, reason: str) -> BadInput:

@@ -3,7 +3,7 @@
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,29 +13,20 @@ from msgspec import Meta
 
 from aircraft.search.events import Count, OnBoard, Radians, ScriptEvent, Wind, WindSpeed
 from aircraft.search.search import AfterStop
-from link.cli import did_you_mean
+from link.cli import BadInput, did_you_mean
 from plume import sensor
-from plume.parameters import LIMITS
+from plume.parameters import LIMITS, MOST
 from plume.randomness import MAX_SEED
-from plume.scenario import BUDGET_STEPS, Scenario, draw
+from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario, draw
 from plume.world import World
 from plume.worlds import AS_MODELLED, WORLDS, check
-from sitl.autopilot.config import VehicleConfig
-from sitl.script.events import (
-    MOST_WAYPOINTS,
-    OLD_WORDS,
-    Cut,
-    Diffusivity,
-    Height,
-    Kill,
-    Lawnmower,
-    Lifetime,
-    Point,
-    Positive,
-    Rate,
-    Waypoints,
-)
-from sitl.script.typed_yaml import Document, FileError
+from sitl.autopilot.config import STREAM_S, VehicleConfig
+from sitl.script.typed_yaml import Document
+
+
+def _limits(name: str) -> Meta:
+    low, high = LIMITS[name]
+    return Meta(ge=low, le=high)
 
 
 def _says(name: str, words: str, unit: str) -> Meta:
@@ -44,8 +35,17 @@ def _says(name: str, words: str, unit: str) -> Meta:
     return Meta(description=f"{words}, a number from {low:g} up to {high:.12g}, {unit}")
 
 
-STREAM_S = 1.0
-"""Real time after which the stream of a companion's setpoints is lost, if strict: PX4's COM_OF_LOSS_T."""
+Rate = Annotated[float, _limits("q")]
+Diffusivity = Annotated[float, _limits("d")]
+Lifetime = Annotated[float, _limits("tau")]
+Height = Annotated[float, _limits("z")]
+Positive = Annotated[float, Meta(gt=0, le=MOST)]
+Seconds = Annotated[float, Meta(ge=0, le=MOST)]
+Coordinate = Annotated[float, Meta(ge=0, le=AREA_M)]
+Point = tuple[Coordinate, Coordinate]
+# The agent receives them in one command-line argument, which the system limits to 128 kB.
+MOST_WAYPOINTS = 1000
+OLD_WORDS = {"pause": "hold", "abort": "return"}  # what older scripts call these events
 Expectation = Literal[
     "ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"
 ]
@@ -133,7 +133,6 @@ class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     ] = None
 
     def __post_init__(self) -> None:
-        """Require at most one of threshold_m and stop."""
         if self.threshold_m is not None and self.stop is not None:
             raise ValueError("wanted at most one of threshold_m and stop")
 
@@ -153,6 +152,65 @@ class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     headings: Literal[4, 8] | None = None
     step_m: Annotated[float, Meta(gt=0, le=10)] | None = None
     measurements: Annotated[int, Meta(ge=1, le=10_000)] | None = None
+
+
+# ---- events beside the vehicle: scripted waypoints, and parts that fail ----
+
+
+class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
+    """Waypoints that replace the agent's, one per reading; the first answers this step's reading."""
+
+    points: Annotated[list[Point], Meta(min_length=1)]
+
+    def path(self) -> list[Point]:
+        """Return the waypoints, (x, y) in m."""
+        return self.points
+
+
+class Lawnmower(ScriptEvent, frozen=True, tag="lawnmower"):
+    """Waypoints that replace the agent's: rows west to east and back, a rectangle from south to north."""
+
+    low: Point = (0.0, 0.0)
+    high: Point = (AREA_M, AREA_M)
+    spacing_m: Annotated[
+        float, Meta(ge=0.1, le=MOST, description="a number from 0.1: distance between two rows, m")
+    ] = 5.0
+    step_m: Annotated[
+        float, Meta(ge=0.1, le=MOST, description="a number from 0.1: distance between two readings, m")
+    ] = STEP_M
+
+    def path(self) -> list[Point]:
+        """Return the waypoints, (x, y) in m.
+
+        Rows end on the rectangle's edges, and the last row lies on its north edge.
+        """
+        xs, ys = (
+            _steps(low, high, step)
+            for low, high, step in zip(self.low, self.high, (self.step_m, self.spacing_m), strict=True)
+        )
+        return [(x, y) for row, y in enumerate(ys) for x in (xs if row % 2 == 0 else xs[::-1])]
+
+
+class Kill(ScriptEvent, frozen=True, tag="kill"):
+    """A part is killed (SIGKILL) and restarted."""
+
+    part: Literal["estimator", "agent", "router"]
+    restart_after_s: Annotated[Seconds, Meta(description="a number from 0: real time, s")] = 0.0
+
+
+class Cut(ScriptEvent, frozen=True, tag="cut"):
+    """The link between a part and the router carries nothing for a while; neither end is notified."""
+
+    part: Literal["uav", "estimator", "agent"]
+    for_s: Annotated[float, Meta(gt=0, le=600, description="a number above 0 up to 600: real time, s")]
+
+
+def _steps(low: float, high: float, step: float) -> Sequence[float]:
+    count = math.ceil((high - low) / step - 1e-9)
+    return [min(low + number * step, high) for number in range(count)] + [high]
+
+
+# ---- the whole ----
 
 
 class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -199,8 +257,7 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return World(self.release(), self.seed, sensor.parse(self.sensor), self.world)
 
     def vehicle_config(self, sysid: int) -> VehicleConfig:
-        """Return the vehicle's configuration, with the times of a companion's silence converted from real
-        to simulation time.
+        """Return the vehicle's configuration; a companion's silence becomes simulation time.
 
         At speed-up 0 a waiting vehicle runs in real time, so the factor is 1. PX4's simulations stretch
         their times likewise.
@@ -208,10 +265,8 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         fields = msgspec.structs.asdict(self.vehicle)
         del fields["after_stop"], fields["strict"]
         factor = self.speedup or 1.0
-        stream_s = STREAM_S * factor if self.vehicle.strict else math.inf
-        return VehicleConfig(
-            sysid, **{**fields, "silence_s": self.vehicle.silence_s * factor, "stream_s": stream_s}
-        )
+        fields["silence_s"] *= factor
+        return VehicleConfig(sysid, stream_s=STREAM_S * factor if self.vehicle.strict else math.inf, **fields)
 
     @property
     def expectations(self) -> list[Expectation]:
@@ -220,12 +275,12 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     def scripted(self) -> dict[int, Point]:
         """Return the scripted waypoints, by the step of the reading that each answers."""
-        path: dict[int, Point] = {}
-        for event in self.events:
-            if isinstance(event, Waypoints | Lawnmower):
-                assert event.step is not None
-                path.update(enumerate(event.path(), start=event.step))
-        return path
+        return {
+            step: point
+            for event in self.events
+            if isinstance(event, Waypoints | Lawnmower) and event.step is not None
+            for step, point in enumerate(event.path(), start=event.step)
+        }
 
     @property
     def budget(self) -> int:
@@ -249,17 +304,14 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 def shipped() -> dict[str, Path]:
     """Return the shipped missions by name; a wheel has them inside this package, a checkout beside it."""
-    package = Path(__file__).parents[1]
-    folder = package / "missions"
-    if not folder.is_dir():
-        folder = package.parent / "missions"
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    folders = [parent / "missions" for parent in Path(__file__).parents[1:3]]
+    return {path.stem: path for folder in folders for path in sorted(folder.glob("*.yaml"))}
 
 
 def find(mission: str | Path) -> Path:
     """Return the path of a mission: a file of this name, else the shipped mission of this name.
 
-    Raises FileError if there is neither.
+    Raises BadInput if there is neither.
     """
     missions, name = shipped(), str(mission).removesuffix(".yaml")
     if not os.path.isfile(mission) and name in missions:
@@ -268,19 +320,19 @@ def find(mission: str | Path) -> Path:
         os.stat(mission)
     except FileNotFoundError:
         near = did_you_mean(name, missions)
-        wanted = (
-            f"{f'{near} Wanted' if near else '; wanted'} a mission script, or one of {', '.join(missions)}"
-        )
-        raise FileError(f"{mission}: no such file and no shipped mission{wanted}") from None
+        raise BadInput(
+            f"{mission}: no such file and no shipped mission{f'{near} Wanted' if near else '; wanted'} "
+            f"a mission script, or one of {', '.join(missions)}"
+        ) from None
     except OSError as error:
-        raise FileError(f"{mission}: {error.strerror}") from None
+        raise BadInput(f"{mission}: {error.strerror}") from None
     return Path(mission)
 
 
 def load(mission: str | Path) -> Script:
     """Read a mission script, or a shipped one by its name.
 
-    Raises FileError with file, line, field and what is allowed, in one line.
+    Raises BadInput with file, line, field and what is allowed, in one line.
     """
     document = Document(find(mission))
     if old := _renamed(document.value):
@@ -311,8 +363,10 @@ def load(mission: str | Path) -> Script:
             f"{len(taken):,} scripted waypoints are not allowed; wanted {MOST_WAYPOINTS:,} at most",
         )
     if script.agent.policy == "none" and (not taken or max(taken) >= len(taken)):
-        wanted = "a policy, or scripted waypoints from step 0 on without a gap"
-        raise document.error(["agent", "policy"], f"'none' is not allowed; wanted {wanted}")
+        raise document.error(
+            ["agent", "policy"],
+            "'none' is not allowed; wanted a policy, or scripted waypoints from step 0 on without a gap",
+        )
     return script
 
 
@@ -337,7 +391,7 @@ def _warn(line: str) -> None:
 
 
 def _check(document: Document, number: int, event: ScriptEvent) -> None:
-    """Check what depends on more than one field. Raises FileError."""
+    """Check what depends on more than one field. Raises BadInput."""
     field: list[str | int] = ["events", number]
     match event:
         case Wind(u=None, phi=None):

@@ -1,9 +1,12 @@
-"""Reads a YAML file into a typed struct; errors name file, line, field, what was found and what is
-allowed.
+"""Reads a YAML file into a typed struct; errors name file, line, field, the value and what is allowed.
+
+msgspec's error names the field, the struct's JSON schema what it may be.
 """
 
 import os
+import re
 import stat
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,10 +15,20 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from link.cli import BadInput
-from sitl.script.mistakes import Fields, dotted, explained, short, shown
+from link.cli import BadInput, did_you_mean
 
 T = TypeVar("T")
+Fields = Sequence[str | int]  # the path to a field through objects (names) and lists (indices)
+Schema = Any  # a JSON schema, with its references replaced by what they stand for
+LONGEST = 60  # characters of a name or value that are shown
+BOUNDS = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "up to", "exclusiveMaximum": "below"}
+TYPES = {
+    "string": "text",
+    "boolean": "true or false",
+    "number": "a number",
+    "integer": "a whole number",
+    "array": "a list",
+}
 
 MOST_BYTES = 250_000  # reading a file of this size takes a few seconds; no mission needs more
 MOST_VALUES = 100_000  # with every alias expanded: nine short lines can expand to a billion values
@@ -23,46 +36,42 @@ MOST_DIGITS = 1000  # digits of a whole number: Python refuses to print more tha
 TEXT, WHOLE, MERGE = (f"tag:yaml.org,2002:{name}" for name in ("str", "int", "merge"))
 
 
-class FileError(BadInput):
-    """A file cannot be used; the message is one line."""
-
-
 class Document:
     """A YAML file's value, and the line of each field."""
 
     def __init__(self, path: Path) -> None:
-        """Read the file; raises FileError if it cannot be read or is not valid YAML."""
+        """Read the file; raises BadInput if it cannot be read or is not valid YAML."""
         self.path = path
         yaml = YAML(typ="safe", pure=True)  # YAML 1.2: `on` is a word, 1e3 a number
-        text = _read(path)
         try:
-            self._root: Node | None = yaml.compose(text)
+            self._root: Node | None = yaml.compose(_read(path))
             self._check_nodes()
             self.value: Any = yaml.constructor.construct_document(self._root) if self._root else {}
-        except FileError:
+        except BadInput:
             raise
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
-            line = mark.line + 1 if mark else 1
-            raise self._at(line, f"not valid YAML: {error.problem or error.context}") from None
+            raise self._at(
+                mark.line + 1 if mark else 1, f"not valid YAML: {error.problem or error.context}"
+            ) from None
         except (YAMLError, RecursionError, ValueError) as error:
-            raise FileError(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
+            raise BadInput(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
         except LookupError:  # such as `!!bool perhaps`
-            raise FileError(f"{path}: not valid YAML: a value does not match its tag") from None
+            raise BadInput(f"{path}: not valid YAML: a value does not match its tag") from None
 
     def to(self, kind: type[T]) -> T:
-        """Return the value as a struct of this kind; raises FileError."""
+        """Return the value as a struct of this kind; raises BadInput."""
         try:
             return msgspec.convert(self.value, kind)
         except msgspec.ValidationError as error:
             raise self.error(*explained(error, self.value, kind)) from None
 
-    def error(self, fields: Fields, text: str) -> FileError:
+    def error(self, fields: Fields, text: str) -> BadInput:
         """Return an error with this text about a field, with its file and line."""
         return self._at(self._line(fields), f"{dotted(fields) + ': ' if fields else ''}{text}")
 
-    def _at(self, line: int, text: str) -> FileError:
-        return FileError(f"{self.path}:{line}: {short(text, 1000)}")
+    def _at(self, line: int, text: str) -> BadInput:
+        return BadInput(f"{self.path}:{line}: {short(text, 1000)}")
 
     def _check_nodes(self) -> None:
         """Refuse too many values, too long numbers, names that are not text, and duplicate names."""
@@ -72,16 +81,19 @@ class Document:
             node = nodes.pop()
             count += 1
             if count > MOST_VALUES:
-                most = f"more than {MOST_VALUES:,} values (with aliases expanded) are not allowed"
-                raise FileError(f"{self.path}: {most}")
+                raise BadInput(
+                    f"{self.path}: more than {MOST_VALUES:,} values (with aliases expanded) are not allowed"
+                )
             if isinstance(node, MappingNode):
                 self._check_names(node)
                 nodes += [part for pair in node.value for part in pair]
             elif isinstance(node, SequenceNode):
                 nodes += node.value
             elif node.tag == WHOLE and len(node.value) > MOST_DIGITS:
-                digits = f"{len(node.value):,} digits is not allowed; wanted {MOST_DIGITS:,} at most"
-                raise self._at(_line_of(node), f"a number of {digits}")
+                raise self._at(
+                    _line_of(node),
+                    f"a number of {len(node.value):,} digits is not allowed; wanted {MOST_DIGITS:,} at most",
+                )
 
     def _check_names(self, node: MappingNode) -> None:
         lines: dict[str, int] = {}
@@ -91,8 +103,11 @@ class Document:
                 found = shown(name.value) if isinstance(name, ScalarNode) else "a list or an object"
                 raise self._at(line, f"{found} is not allowed as a field name; wanted text")
             if name.value in lines:
-                first = f"the first one is in line {lines[name.value]}"
-                raise self._at(line, f'found duplicate key "{shown(name.value)}"; {first}')
+                raise self._at(
+                    line,
+                    f'found duplicate key "{shown(name.value)}"; '
+                    f"the first one is in line {lines[name.value]}",
+                )
             lines[name.value] = line
 
     def _line(self, fields: Fields) -> int:
@@ -112,26 +127,133 @@ class Document:
 
 
 def _line_of(node: Node) -> int:
-    line: int = node.start_mark.line
-    return line + 1
+    return int(node.start_mark.line) + 1
 
 
 def _read(path: Path) -> str:
-    """Return the text of a file; raises FileError. Does not block on a pipe."""
+    """Return the text of a file; raises BadInput. Does not block on a pipe."""
     try:
         with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
             about = os.fstat(file.fileno())
             if not stat.S_ISREG(about.st_mode):
-                raise FileError(f"{path}: a pipe or a device is not allowed; wanted a file")
+                raise BadInput(f"{path}: a pipe or a device is not allowed; wanted a file")
             content = file.read(MOST_BYTES + 1)
     except OSError as error:
-        raise FileError(f"{path}: {error.strerror}") from None
+        raise BadInput(f"{path}: {error.strerror}") from None
     if len(content) > MOST_BYTES:
-        raise FileError(
+        raise BadInput(
             f"{path}: {max(about.st_size, len(content)):,} bytes are not allowed; wanted {MOST_BYTES:,} at "
             "most"
         )
     try:
         return content.decode()
     except UnicodeDecodeError:
-        raise FileError(f"{path}: not valid UTF-8") from None
+        raise BadInput(f"{path}: not valid UTF-8") from None
+
+
+# ---- what is wrong with a value, in words ----
+
+
+def explained(error: msgspec.ValidationError, value: Any, kind: type) -> tuple[Fields, str]:
+    """Return the field at which the conversion of a value to a kind of struct ended, and its mistake."""
+    said, _, path = str(error).partition(" - at `$")
+    schema, fields = _schema(kind), [name or int(at) for name, at in re.findall(r"\.(\w+)|\[(\d+)\]", path)]
+    for field in fields:
+        schema, value = _within(schema, value, field), value[field]
+    if error.__cause__:  # a struct's own check
+        return fields, said
+    if said.startswith("Object missing"):
+        name = said.split("`")[1]
+        return fields, f"{name} is missing; wanted {_wanted(_within(schema, value, name))}"
+    if said.startswith("Object contains unknown"):
+        known = _chosen(schema, value)["properties"]
+        name = next(name for name in value if name not in known)
+        return [*fields, name], f"unknown field{_nearest(name, known, 'allowed')}: {', '.join(known)}"
+    near = _nearest(value, _choices(schema), "wanted")
+    return fields, f"{short(repr(value), LONGEST)} is not allowed{near} {_wanted(schema)}"
+
+
+def dotted(fields: Fields) -> str:
+    """Write the path to a field: events[2].gas."""
+    return "".join(f"[{field}]" if isinstance(field, int) else f".{shown(field)}" for field in fields).lstrip(
+        "."
+    )
+
+
+def shown(name: str) -> str:
+    """Return a name in a form that fits into one short line."""
+    return short(name if name.isprintable() else repr(name), LONGEST)
+
+
+def short(text: str, length: int) -> str:
+    """Return the text, cut to `length` characters with an ellipsis."""
+    return text if len(text) <= length else text[: length - 3] + "..."
+
+
+def _nearest(name: Any, known: Iterable[Any], then: str) -> str:
+    """Return what leads to the list of known names: "; wanted", after the nearest of them if one is near."""
+    is_name = isinstance(name, str) and len(name) <= LONGEST
+    near = did_you_mean(name, map(str, known)) if is_name else ""
+    return f"{near} {then.capitalize()}" if near else f"; {then}"
+
+
+def _schema(kind: type) -> Schema:
+    """Return the JSON schema of a struct."""
+    whole = msgspec.json.schema(kind)
+
+    def expanded(schema: Schema) -> Schema:
+        if isinstance(schema, list):
+            return [expanded(one) for one in schema]
+        if not isinstance(schema, dict):
+            return schema
+        if "$ref" in schema:
+            return expanded(whole["$defs"][schema["$ref"].rpartition("/")[2]])
+        return {name: expanded(one) for name, one in schema.items()}
+
+    return expanded({"$ref": whole["$ref"]})
+
+
+def _several(schema: Schema) -> list[Schema]:
+    """Return the alternatives of a schema, without null."""
+    return [one for one in schema.get("anyOf", [schema]) if one.get("type") != "null"]
+
+
+def _chosen(schema: Schema, value: Any) -> Schema:
+    """Return the alternative that is meant for an object, by its tag if there are several, or for a list."""
+    wanted = "object" if isinstance(value, dict) else "array"
+    tag = schema.get("discriminator", {}).get("propertyName")
+    for one in _several(schema):
+        if one.get("type") == wanted and (not tag or value[tag] in one["properties"][tag]["enum"]):
+            return one
+    raise LookupError(f"no schema for {wanted}")
+
+
+def _within(schema: Schema, value: Any, field: str | int) -> Schema:
+    """Return the schema of a field of an object, or of an item of a list."""
+    if field == schema.get("discriminator", {}).get("propertyName", ""):
+        return {"enum": [*schema["discriminator"]["mapping"]]}
+    schema = _chosen(schema, value)
+    if isinstance(field, int):
+        return schema["items"] or schema["prefixItems"][field]
+    return schema["properties"][field]
+
+
+def _choices(schema: Schema) -> list[Any]:
+    """Return the values to choose from, if there are such."""
+    return [choice for one in _several(schema) for choice in one.get("enum", ())]
+
+
+def _wanted(schema: Schema) -> str:
+    """Say what a field may be: its choices, its fields, its description, or its type and limits."""
+    first = _several(schema)[0]
+    if "discriminator" in schema:
+        tag, kinds = schema["discriminator"].values()
+        return f"fields with {tag}: one of {', '.join(kinds)}"
+    if choices := _choices(schema):
+        return f"one of {', '.join(map(str, choices))}"
+    if "properties" in first:
+        return f"fields: {', '.join(first['properties'])}"
+    bounds = [f"{word} {first[name]:.12g}" for name, word in BOUNDS.items() if name in first]
+    return str(
+        schema.get("description") or first.get("description") or " ".join([TYPES[first["type"]], *bounds])
+    )

@@ -8,12 +8,11 @@ from aircraft.search.events import OnBoard
 from aircraft.search.options import add_vehicle_url
 from link import cli
 from sitl.autopilot.vehicle import Vehicle
-from sitl.script.options import script_of
-from sitl.script.vehicle import script_for_vehicle
+from sitl.script.options import script_for_vehicle, script_of
 from sitl.uav.options import add_vehicle_arguments, at_own_home
 from sitl.uav.simulated import simulated_uav
 
-REAL = "aircraft.remote.command"  # flies a real vehicle; loaded only then
+REAL_VEHICLE = "aircraft.remote.command"  # flies a real vehicle; loaded only then
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,10 +28,15 @@ def run(args: argparse.Namespace) -> int:
     script = script_for_vehicle(script_of(args), args)
     chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
     chosen += "" if script.estimator.assume == "field" else f" --assume {script.estimator.assume}"
-    events = [event for event in script.events if isinstance(event, OnBoard)]
-    orders = Orders(script.simulated(), script.speedup, events, script.vehicle.after_stop, chosen)
+    orders = Orders(
+        script.simulated(),
+        script.speedup,
+        [event for event in script.events if isinstance(event, OnBoard)],
+        script.vehicle.after_stop,
+        chosen,
+    )
     config = script.vehicle_config(args.sysid or args.instance + 1)
     if args.vehicle:
-        return int(import_module(REAL).run(args, orders, config))
+        return int(import_module(REAL_VEHICLE).run(args, orders, config))
     vehicle = Vehicle(at_own_home(config, args.instance))
     return fly(args, orders, lambda equipment, _: simulated_uav(vehicle, orders, equipment))

@@ -5,20 +5,20 @@ import math
 from dataclasses import replace
 from typing import get_args
 
+from aircraft.bridge.address import parse_out
 from aircraft.search.search import AfterStop
 from link import cli
 from link.signing.key import read_key
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
-from sitl.script.options import add_mission_argument, add_seed_argument, add_world_arguments
+from sitl.script.options import add_mission_arguments
 
 HOMES_APART_M = 40.0  # default homes lie so far apart that search areas do not overlap
 
 
 def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> None:
     """Add them; `speedup` is the default."""
-    add_mission_argument(parser)
-    add_seed_argument(parser)
+    add_mission_arguments(parser)
     parser.add_argument(
         "--speedup",
         type=cli.number(0, 1000),
@@ -41,7 +41,6 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
         metavar="N",
         help="its MAVLink system id (default: that of -I, plus 1)",
     )
-    add_world_arguments(parser)
     parser.add_argument(
         "--home",
         type=_home,
@@ -51,7 +50,7 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
     )
     parser.add_argument(
         "--out",
-        type=_udp_url,
+        type=cli.checked(parse_out),
         action="append",
         default=[],
         metavar="URL",
@@ -90,24 +89,12 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
 
 
 def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:
-    """Return the configuration of vehicle `instance`, moved east of the default home, unless a home of its
-    own was chosen.
-    """
+    """Return the configuration of vehicle `instance`, moved east unless a home of its own was chosen."""
     usual = VehicleConfig()
     if (config.home_lat_deg, config.home_lon_deg) != (usual.home_lat_deg, usual.home_lon_deg):
         return config
     lat_deg, lon_deg = to_global(usual.home_lat_deg, usual.home_lon_deg, 0.0, HOMES_APART_M * instance)
     return replace(config, home_lat_deg=lat_deg, home_lon_deg=lon_deg)
-
-
-def _udp_url(text: str) -> str:
-    from aircraft.bridge.address import parse_out
-
-    try:
-        parse_out(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    return text
 
 
 def _home(text: str) -> tuple[float, float, float, float]:

@@ -3,15 +3,13 @@
 import argparse
 
 from aircraft.payload import command
-from sitl.script.options import add_mission_argument, add_seed_argument, add_world_arguments, script_of
+from sitl.script.options import add_mission_arguments, script_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
     command.add_arguments(parser)
-    add_mission_argument(parser)
-    add_seed_argument(parser)
-    add_world_arguments(parser)
+    add_mission_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,6 +1,4 @@
-"""A simulated vehicle's clients: it is its own autopilot, which tells them its state and does what they
-ask.
-"""
+"""A simulated vehicle's clients: it is its own autopilot, tells them its state and does what they ask."""
 
 import math
 import time
@@ -18,7 +16,7 @@ from aircraft.search.command import Orders
 from aircraft.search.handling import Handling
 from aircraft.search.search import Search
 from aircraft.search.uav import Equipment, Uav
-from aircraft.search.udp import UdpPort, UdpPorts
+from aircraft.search.udp import UdpPorts
 from aircraft.state import Arrived, Result, denied, not_now
 from link.bus.keys import MAVLINK_OUT
 from link.bus.mavlink import Codec, Message, unpack
@@ -26,15 +24,14 @@ from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival
 from link.modes import Mode
 from plume.world import World
-from sitl.autopilot.messages import Snapshot
+from sitl.autopilot.config import STREAM_S
 from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol
 from sitl.autopilot.setpoint import GLOBAL, LOCAL
-from sitl.autopilot.telemetry import Telemetry
+from sitl.autopilot.telemetry import Snapshot, Telemetry
 from sitl.autopilot.vehicle import Vehicle
 
-STREAM_S = 1.0  # real time after which a client's stream of setpoints has ended: PX4's COM_OF_LOSS_T
-CHANGES = {"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}
-SETPOINTS = {LOCAL, GLOBAL}
+MODE_MESSAGES = {"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}
+SETPOINT_MESSAGES = {LOCAL, GLOBAL}
 
 Sender = tuple[int, int]  # system and component id
 
@@ -67,27 +64,29 @@ class SimulatedClients:
         self._ports: list[Port] = []
         if bus is not None:
             publish, codec = bus.publish, Codec(self.system, COMPONENT)
-            on_bus = Port(lambda *said: publish(MAVLINK_OUT, codec.pack(*said)), self._telemetry())
-            self._ports.append(on_bus)
+            self._ports.append(Port(lambda *said: publish(MAVLINK_OUT, codec.pack(*said)), self._telemetry()))
         self._udp = UdpPorts(outs, self._log, self.system, COMPONENT, equipment.signing) if outs else None
-        self._by_udp: dict[UdpPort, Port] = {}
+        by_udp = self._udp.ports if self._udp else []
+        self._by_udp = {port: Port(port.send, self._telemetry()) for port in by_udp}
+        self._ports += self._by_udp.values()
         if self._udp:
-            self._by_udp = {port: Port(port.send, self._telemetry()) for port in self._udp.ports}
-            self._ports += self._by_udp.values()
             self._udp.ring(lambda: equipment.inbox.put(None))  # `serve` takes what has come
 
     def _telemetry(self) -> Telemetry:
         # The vehicle's time, not the streams' time: at speed-up 0 they differ.
         vehicle, sensor = self._vehicle, self._sensor
         return Telemetry(
-            lambda _: Snapshot(vehicle.config, vehicle.state(vehicle.now_s), sensor.wind, self._gas)
+            lambda _: Snapshot(
+                vehicle.config, vehicle.state(vehicle.now_s), sensor.simulated.world.wind, self._gas
+            )
         )
 
     # ---- what they are told ----
 
     def serve(self) -> None:
-        """Take what has come over UDP, and tell what is due; and at once when the mission goes on: stations
-        take it for finished before they see the next mode.
+        """Take what has come over UDP, and tell what is due.
+
+        That the mission goes on is told at once: stations take it for finished before they see the next mode.
         """
         if self._udp:
             for link, message, peer in self._udp.receive():
@@ -107,7 +106,7 @@ class SimulatedClients:
     def wait_s(self) -> float:
         """Return the real time until something is due."""
         telemetry_s = self._clock.wait_s(None, min(port.telemetry.next_due_s() for port in self._ports))
-        return min(telemetry_s, max(self._protocol.next_due_s() - time.monotonic(), 0.0))
+        return min(telemetry_s, max(self._protocol.plans.next_s() - time.monotonic(), 0.0))
 
     def changed(self) -> None:
         """Tell at once what the search does now: after the landing the process may end."""
@@ -138,7 +137,7 @@ class SimulatedClients:
         with self._handling.of(message):
             refused = self._protocol.refused.total()
             answers = self._asked.receive(message, self._clock.now_s(), whence, port.telemetry)
-            if message.get_type() in SETPOINTS:
+            if message.get_type() in SETPOINT_MESSAGES:
                 self._clock.heard()
             if self._protocol.refused.total() > refused:
                 self._log.tally.refuse("waypoint")
@@ -170,23 +169,17 @@ class SimulatedSensor(GasSensor):
     """A gas sensor in a simulated world."""
 
     def __init__(self, world: World) -> None:
-        """Take the world of the mission."""
-        self._in_world = Simulated(world)
-
-    @property
-    def wind(self) -> tuple[float, float]:
-        """The wind now, (u cos φ, u sin φ) m/s: points to where it comes from."""
-        return self._in_world.world.wind
+        self.simulated = Simulated(world)
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured:
         """Take reading `number`."""
         north, east, _ = arrived.position
-        sample = self._in_world(Question(0, time_boot_ms, number, (east, north), None))
+        sample = self.simulated(Question(0, time_boot_ms, number, (east, north), None))
         return Measured(arrived, sample.gas, sample.wind)
 
     def blow(self, u: float | None, phi: float | None) -> None:
         """Turn the wind, and the plume with it."""
-        self._in_world.world = turned(self._in_world.world, u, phi)
+        self.simulated.world = turned(self.simulated.world, u, phi)
 
 
 def simulated_uav(vehicle: Vehicle, orders: Orders, equipment: Equipment) -> Uav:
@@ -210,15 +203,13 @@ class Asked:
         search: Search,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Take the vehicle, its protocol and its search. `clock` is real time, s."""
         self._vehicle, self._protocol, self._search, self._clock = vehicle, protocol, search, clock
         self._streams: dict[Sender, float] = {}  # when each client last sent a setpoint
 
     def receive(
         self, message: Message, t_s: float, whence: str, streams: Telemetry | None = None
     ) -> list[Message]:
-        """Handle a message from any link as `MavlinkProtocol.receive` does, and see to it that only the
-        leader leads.
+        """Handle a message from any link as `MavlinkProtocol.receive` does; only the leader leads.
 
         whence: how it came, in words; anybody can write any ids into a frame.
         """
@@ -227,24 +218,24 @@ class Asked:
             return []
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
         who = named(sender, whence)
-        if kind in SETPOINTS:
+        if kind in SETPOINT_MESSAGES:
             self._streams[sender] = self._clock()
             if self._search.leads:
                 return self._protocol.refuse_setpoint(
                     denied("Waypoint refused: the search leads, HOLD stops it", "not leading"), t_s
                 )
+        if kind not in MODE_MESSAGES:
             return self._protocol.receive(message, t_s, streams)
-        if kind not in CHANGES:
-            return self._protocol.receive(message, t_s, streams)
-        before = self._flown()
+        before = self._vehicle.mode, self._vehicle.armed
         if _asks_offboard(message) and self._search.under_way and not self._search.found:
             if self._search.leads and self._is_streaming(sender):
-                reason = "Offboard refused: the search leads, HOLD stops it"
-                return self._protocol.refuse(message, not_now(reason))
+                return self._protocol.refuse(
+                    message, not_now("Offboard refused: the search leads, HOLD stops it")
+                )
             if not self._search.leads and not self._is_streaming(None):
                 return self._give_back(message, who, t_s, streams)
         answers = self._protocol.receive(message, t_s, streams)
-        if self._search.under_way and self._flown() != before:
+        if self._search.under_way and (self._vehicle.mode, self._vehicle.armed) != before:
             how = self._vehicle.mode.name if self._vehicle.armed else "disarmed"
             self._search.give_way(how, who)
         return answers
@@ -259,19 +250,10 @@ class Asked:
             self._search.resumed(who)
         return answers
 
-    def _flown(self) -> tuple[Mode, bool]:
-        return self._vehicle.mode, self._vehicle.armed
-
     def _is_streaming(self, sender: Sender | None) -> bool:
-        """Whether a client, or with None any client, streams setpoints of its own: then it leads in
-        OFFBOARD.
-        """
-        heard_s = (
-            max(self._streams.values(), default=-math.inf)
-            if sender is None
-            else self._streams.get(sender, -math.inf)
-        )
-        return self._clock() - heard_s <= STREAM_S
+        """Whether a client, or with None any client, streams setpoints: it then leads in OFFBOARD."""
+        heard_s = [at_s for client, at_s in self._streams.items() if sender in (None, client)]
+        return self._clock() - max(heard_s, default=-math.inf) <= STREAM_S
 
 
 def _asks_offboard(message: Message) -> bool:

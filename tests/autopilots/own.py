@@ -9,10 +9,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from aircraft.state import Said
 from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.parameters import Parameters
 from sitl.autopilot.protocol import MavlinkProtocol
-from sitl.autopilot.telemetry import Telemetry
+from sitl.autopilot.telemetry import Snapshot, Telemetry
 from sitl.autopilot.vehicle import State, Vehicle
 from tests.autopilots.body import DT_S, Vector
 from tests.autopilots.faults import Faults

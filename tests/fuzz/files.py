@@ -28,12 +28,12 @@ from ground.tlog.flight import read as read_flight
 from ground.tlog.frames import STAMP
 from ground.tlog.log import FlightError
 from ground.view.wire import Sent, packed
+from link.cli import BadInput
 from link.record.reader import RecordError
 from link.record.reader import read as read_record
 from scene.follow.recorded import history_of
 from scene.scene import Scene
 from sitl.script.script import load, shipped
-from sitl.script.typed_yaml import FileError
 from tests.fuzz.mutants import as_sent
 from tests.fuzz.services import BETWEEN, recorded
 from tests.ground.tlog.onboard_logs import Dataflash, ULog, flown, flown_by_px4
@@ -237,7 +237,7 @@ def script(data: bytes) -> None:
     path = _file("fuzzed.yaml", data)
     try:
         load(path)
-    except FileError as error:
+    except BadInput as error:
         _is_one_line(error, f"{path}:")
 
 

@@ -14,8 +14,7 @@ from link.bus.mavlink import unpack_reading
 from link.record.reader import read
 from scene.follow.history import History
 from scene.scene import Backdrop
-from sitl.launch.child import Child
-from sitl.launch.processes import Processes
+from sitl.launch.processes import Child, Processes
 from tests.system.live import run_agent, run_sitl
 
 pytestmark = pytest.mark.slow

@@ -13,9 +13,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.px4 import MissionCurrent
 from link.modes import Mode
 from plume.geodesy import to_global
-from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.protocol import MavlinkProtocol
-from sitl.autopilot.telemetry import Telemetry
+from sitl.autopilot.telemetry import Snapshot, Telemetry
 from tests.ground.tlog.flights import ACCEPTED, CONFIG, DENIED, NAN, REJECTED, hovering, on_the_ground
 
 STATION, OTHER = (255, 190), (245, 190)
@@ -137,7 +136,7 @@ def upload(wire, plan, kind=MISSION, sender=STATION):
                 return message.type
         wire.wait(0.1)
         if (
-            wire.protocol.next_due_s() == math.inf and not wire.inbox[sender]
+            wire.protocol.plans.next_s() == math.inf and not wire.inbox[sender]
         ):  # the count or the acknowledgement was lost
             wire.send(
                 item(len(plan) - 1, plan[-1], kind) if wire_has(wire, plan, kind) else count(len(plan), kind),
@@ -243,7 +242,7 @@ def test_a_bad_item_is_refused_with_its_reason_and_the_old_list_stays(name):
     assert (ack.get_type(), ack.type, ack.mission_type) == ("MISSION_ACK", result, kind)
     assert "refused" in "".join(text.text for text in texts)
     assert same(download(wire, kind), PLANS[kind])
-    assert wire.protocol.next_due_s() == math.inf
+    assert wire.protocol.plans.next_s() == math.inf
 
 
 @pytest.mark.parametrize(("kind", "most"), [(MISSION, 2000), (FENCE, 64), (RALLY, 32)])
@@ -396,7 +395,7 @@ def test_an_item_out_of_sequence_is_dropped_and_the_right_one_asked_for_again():
     assert [m.seq for m in wire.read()] == [0]
     (ack,) = wire.ask(item(3, waypoint(1, 1)))  # there can be no such item
     assert ack.type == SEQUENCE
-    assert wire.protocol.next_due_s() == math.inf
+    assert wire.protocol.plans.next_s() == math.inf
 
 
 def test_a_client_may_cancel_its_upload():

@@ -11,8 +11,8 @@ import pytest
 from aircraft.state import Arrived, Said
 from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.messages import Snapshot, position_target_local_ned
 from sitl.autopilot.setpoint import Setpoint
+from sitl.autopilot.telemetry import Snapshot, position_target_local_ned
 from sitl.autopilot.vehicle import Vehicle
 from tests.ground.tlog.flights import (
     ACCEPTED,
@@ -422,7 +422,7 @@ def test_strict_arming_in_offboard_needs_a_stream_too():
 
 def test_the_vehicles_own_search_need_not_stream():
     vehicle = hovering(STRICT)
-    vehicle.companion.is_own_search = True
+    vehicle.is_searched = True
     vehicle.setpoint(AT, (3.0, 4.0, -5.0))
     assert vehicle.set_mode(AT + 20.0, Mode.OFFBOARD).accepted
     (arrived,) = fly_on(vehicle)

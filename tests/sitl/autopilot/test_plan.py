@@ -15,9 +15,8 @@ from link.modes import Mode
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence
-from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.plan import BadItem, Item, step
-from sitl.autopilot.telemetry import Telemetry
+from sitl.autopilot.telemetry import Snapshot, Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from tests.ground.tlog.flights import (
     CLIMB_S,

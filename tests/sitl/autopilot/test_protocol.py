@@ -13,9 +13,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.modes import Mode
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.protocol import MavlinkProtocol
-from sitl.autopilot.telemetry import Telemetry
+from sitl.autopilot.telemetry import Snapshot, Telemetry
 from tests.ground.tlog.flights import (
     ACCEPTED,
     CONFIG,

@@ -8,10 +8,9 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilot.commands import COMMANDS
-from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.services import REFUSED, REFUSED_ONCE
-from sitl.autopilot.telemetry import Telemetry
+from sitl.autopilot.telemetry import Snapshot, Telemetry
 from tests.ground.tlog.flights import ACCEPTED, DENIED, UNSUPPORTED, hovering
 
 STATION = (255, 190)

@@ -15,8 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.mavlink import Reading, unpack_reading
 from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.messages import Snapshot
-from sitl.autopilot.telemetry import STREAMS, Telemetry
+from sitl.autopilot.telemetry import STREAMS, Snapshot, Telemetry
 from sitl.autopilot.vehicle import State
 
 CONFIG = VehicleConfig(home_heading_deg=90.0)

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from sitl.launch.child import MissionFailed
-from sitl.launch.joining import await_services
+from sitl.launch.heard import await_services
+from sitl.launch.processes import MissionFailed
 
 
 class EmptyBus:

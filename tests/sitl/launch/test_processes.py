@@ -17,10 +17,8 @@ from link.bus.inbox import WAITING_MESSAGES, Inbox
 from link.bus.log import Log
 from link.bus.session import SIGNAL_POLL_S
 from link.bus.tally import OVERFLOW, Tally
-from sitl.launch import child as child_module
 from sitl.launch import processes as module
-from sitl.launch.child import Ended, LogLine, MissionFailed
-from sitl.launch.processes import FLYING, KINDS, RECORDER, Processes
+from sitl.launch.processes import FLYING, KINDS, RECORDER, Ended, LogLine, MissionFailed, Processes
 
 TOLD = "tests.sitl.launch.told"
 LEAVE = """
@@ -269,8 +267,8 @@ def test_a_part_that_ends_instead_of_answering_says_why(launched: Launched) -> N
 def test_a_part_that_never_answers_is_told_and_given_up(
     launched: Launched, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(child_module, "START_WARN_S", SIGNAL_POLL_S)
-    monkeypatch.setattr(child_module, "START_LIMIT_S", 3 * SIGNAL_POLL_S)
+    monkeypatch.setattr(module, "START_WARN_S", SIGNAL_POLL_S)
+    monkeypatch.setattr(module, "START_LIMIT_S", 3 * SIGNAL_POLL_S)
     child = launched.processes.start("router", TOLD, "import time; time.sleep(600)")
     with pytest.raises(MissionFailed, match=r"the router has said nothing in 0\.6 s since it was started"):
         launched.processes.answer(child)

@@ -14,13 +14,12 @@ from link.bus.mavlink import Codec, unpack
 from link.bus.messages import Health, Stop
 from link.bus.session import Arrival
 from sitl.launch import launcher as module
-from sitl.launch.child import MissionFailed
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.launcher import MissionWatch
 from sitl.launch.mission import Launch, RealVehicle
+from sitl.launch.processes import MissionFailed
 from sitl.launch.watchdog import Watchdog
-from sitl.script.events import Kill
-from sitl.script.script import Script
+from sitl.script.script import Kill, Script
 from tests.fuzz.services import QuietBus
 from tests.sitl.launch.test_trace import belief
 

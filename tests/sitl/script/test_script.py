@@ -11,10 +11,10 @@ from ruamel.yaml import YAML
 
 from aircraft.search.events import Hold, Land, Resume, Return
 from docs.generate.schema import schema
+from link.cli import BadInput
 from plume.scenario import draw
 from plume.sensor import Hits
 from sitl.script.script import Script, load
-from sitl.script.typed_yaml import FileError
 
 ROOT = Path(__file__).parents[3]
 MISSIONS = sorted((ROOT / "missions").glob("*.yaml"))
@@ -194,7 +194,7 @@ def test_a_mistake_is_one_line_with_file_line_field_and_what_is_allowed(
     path = tmp_path / "mission.yaml"
     assert change[0] in GOOD
     path.write_text(GOOD.replace(*change))
-    with pytest.raises(FileError) as error:
+    with pytest.raises(BadInput) as error:
         load(path)
     assert str(error.value).startswith(f"{path}:{told}".replace("::", ":"))
     assert "\n" not in str(error.value)
@@ -219,9 +219,7 @@ NOT_FINITE = {
 def test_a_number_that_is_none_or_has_no_end_is_refused(tmp_path: Path, text: str, told: str) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text(f"about: finite\n{text}\n")
-    with pytest.raises(
-        FileError, match=re.escape(f"{path}:2: {told} is not allowed; wanted ") + ".*number.*"
-    ):
+    with pytest.raises(BadInput, match=re.escape(f"{path}:2: {told} is not allowed; wanted ") + ".*number.*"):
         load(path)
 
 
@@ -250,7 +248,7 @@ def test_of_several_mistakes_the_first_is_told_but_a_wrong_name_before_the_one_t
     path = tmp_path / "mission.yaml"
     path.write_text("events:\n- step: 1\n  do: stuck\n  reading: 3\nexpect: [lost]\nseed: x\n")
     with pytest.raises(
-        FileError,
+        BadInput,
         match=r"mission.yaml:4: events\[0\].reading: unknown field; did you mean 'readings'\? Allowed: do, readings, step, time_s$",
     ):
         load(path)
@@ -263,7 +261,7 @@ def test_of_several_mistakes_the_first_is_told_but_a_wrong_name_before_the_one_t
 def test_what_is_no_mission_at_all_is_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "mission.yaml"
     path.write_bytes(content)
-    with pytest.raises(FileError) as error:
+    with pytest.raises(BadInput) as error:
         load(path)
     assert str(error.value).startswith(str(path))
     assert "\n" not in str(error.value)
@@ -271,7 +269,7 @@ def test_what_is_no_mission_at_all_is_one_line(tmp_path: Path, content: bytes) -
 
 def test_a_missing_file_and_a_folder_are_one_line(tmp_path: Path) -> None:
     for path in (tmp_path / "none.yaml", tmp_path, tmp_path / ("long" * 100)):
-        with pytest.raises(FileError, match=f"^{path}: .*$"):
+        with pytest.raises(BadInput, match=f"^{path}: .*$"):
             load(path)
 
 
@@ -303,7 +301,7 @@ def test_a_name_that_is_none_is_told_with_those_that_ship_and_the_nearest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, near: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(FileError) as error:
+    with pytest.raises(BadInput) as error:
         load(name)
     then = f"did you mean {near!r}? Wanted" if near else "wanted"
     shipped = ", ".join(path.stem for path in MISSIONS)
@@ -404,7 +402,7 @@ def test_the_words_of_older_scripts_mean_what_they_meant_and_are_warned_of_once(
 def test_a_mistake_beside_an_old_word_is_named(tmp_path: Path, text: str, told: str) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text(f"{text}\n")
-    with pytest.raises(FileError, match=re.escape(f"{path}:1: {told}")):
+    with pytest.raises(BadInput, match=re.escape(f"{path}:1: {told}")):
         load(path)
 
 
@@ -420,7 +418,7 @@ def test_more_waypoints_than_a_command_line_holds_are_refused(tmp_path: Path) ->
     path = tmp_path / "mission.yaml"
     path.write_text("events:\n- {step: 0, do: lawnmower, spacing_m: 0.1, step_m: 0.1}\n")
     with pytest.raises(
-        FileError,
+        BadInput,
         match=r"mission.yaml:1: events: 90,601 scripted waypoints are not allowed; wanted 1,000 at most",
     ):
         load(path)
@@ -431,7 +429,7 @@ def test_two_waypoints_for_one_step_are_refused(tmp_path: Path) -> None:
     event = "- {step: %d, do: waypoints, points: [[1, 2], [2, 2]]}\n"
     path.write_text("events:\n" + event % 0 + event % 1)
     with pytest.raises(
-        FileError, match=r"mission.yaml:3: events\[1\]: events\[0\] already has a waypoint for step 1"
+        BadInput, match=r"mission.yaml:3: events\[1\]: events\[0\] already has a waypoint for step 1"
     ):
         load(path)
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from link.cli import BadInput
 from sitl.script.script import Script, load
-from sitl.script.typed_yaml import FileError
 
 TEXT = "about: |\n  two\n  lines\nseed: 7\nevents:\n- {step: 30, do: wind, phi: 2}\n"
 
@@ -44,7 +44,7 @@ TOO_MUCH = {
 def test_a_few_lines_that_stand_for_endless_values_are_refused_at_once(tmp_path: Path, text: str) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text(text)
-    with pytest.raises(FileError) as error:
+    with pytest.raises(BadInput) as error:
         load(path)
     assert str(error.value) == f"{path}: more than 100,000 values (with aliases expanded) are not allowed"
 
@@ -63,7 +63,7 @@ def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
     with path.open("wb") as file:
         file.truncate(100_000_000_000)  # larger than the memory; a sparse file takes no disk space
-    with pytest.raises(FileError) as error:
+    with pytest.raises(BadInput) as error:
         load(path)
     assert str(error.value) == f"{path}: 100,000,000,000 bytes are not allowed; wanted 250,000 at most"
 
@@ -73,7 +73,7 @@ def test_a_file_of_the_greatest_size_is_read(tmp_path: Path) -> None:
     path.write_text("seed: 3 #".ljust(250_000, "x"))
     assert load(path).seed == 3
     path.write_text("seed: 3 #".ljust(250_001, "x"))
-    with pytest.raises(FileError, match=r": 250,001 bytes are not allowed; wanted 250,000 at most$"):
+    with pytest.raises(BadInput, match=r": 250,001 bytes are not allowed; wanted 250,000 at most$"):
         load(path)
 
 
@@ -82,7 +82,7 @@ def test_a_file_of_the_greatest_size_is_read(tmp_path: Path) -> None:
 def test_a_nest_without_a_bottom_is_refused(tmp_path: Path, opening: str) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text("seed: 1\nevents:\n  " + opening * 50_000)
-    with pytest.raises(FileError) as error:
+    with pytest.raises(BadInput) as error:
         load(path)
     assert str(error.value) == f"{path}: not valid YAML: maximum recursion depth exceeded"
 
@@ -91,7 +91,7 @@ def test_a_pipe_and_a_device_are_not_waited_for(tmp_path: Path) -> None:
     pipe = tmp_path / "mission.yaml"
     os.mkfifo(pipe)
     for path in (pipe, Path("/dev/zero")):
-        with pytest.raises(FileError) as error:
+        with pytest.raises(BadInput) as error:
             load(path)
         assert str(error.value) == f"{path}: a pipe or a device is not allowed; wanted a file"
 
@@ -103,7 +103,7 @@ def test_a_file_that_cannot_be_read_is_one_line_that_says_why(
     loop.symlink_to(loop)
     broken = Path("/proc/self/mem")  # a regular file whose first byte cannot be read
     for path, reason in ((loop, "Too many levels of symbolic links"), (broken, "Input/output error")):
-        with pytest.raises(FileError, match=f"^{path}: {reason}$"):
+        with pytest.raises(BadInput, match=f"^{path}: {reason}$"):
             load(path)
     locked = tmp_path / "mission.yaml"
     locked.touch(mode=0)
@@ -111,7 +111,7 @@ def test_a_file_that_cannot_be_read_is_one_line_that_says_why(
         monkeypatch.setattr(
             os, "open", lambda *_: (_ for _ in ()).throw(PermissionError(13, os.strerror(13)))
         )
-    with pytest.raises(FileError, match=f"^{locked}: Permission denied$"):
+    with pytest.raises(BadInput, match=f"^{locked}: Permission denied$"):
         load(locked)
 
 
@@ -119,11 +119,11 @@ def test_a_name_that_comes_twice_is_told_with_both_lines_and_without_its_values(
     path = tmp_path / "mission.yaml"
     path.write_text(bomb(9, 9, "lol") + "seed: *a8\nseed: *a8")
     with pytest.raises(
-        FileError, match=f'^{path}:11: found duplicate key "seed"; the first one is in line 10$'
+        BadInput, match=f'^{path}:11: found duplicate key "seed"; the first one is in line 10$'
     ):
         load(path)
     path.write_text('scenario:\n  q: 1\n  u: 1\n  "q": "two\\nlines"\n')
-    with pytest.raises(FileError) as error:
+    with pytest.raises(BadInput) as error:
         load(path)
     assert str(error.value) == f'{path}:4: found duplicate key "q"; the first one is in line 2'
 
@@ -137,7 +137,7 @@ def test_an_editors_way_to_write_text_makes_no_difference(tmp_path: Path, mark: 
     path.write_text(TEXT)
     assert script == load(path)
     path.write_bytes(mark + TEXT.replace("seed: 7", "seed: seven").replace("\n", end).encode())
-    with pytest.raises(FileError, match=r"mission.yaml:4: seed: 'seven' is not allowed"):
+    with pytest.raises(BadInput, match=r"mission.yaml:4: seed: 'seven' is not allowed"):
         load(path)
 
 
@@ -157,6 +157,6 @@ def test_an_empty_script_is_the_usual_mission(tmp_path: Path, content: bytes) ->
 def test_a_line_that_is_told_stays_short(tmp_path: Path, text: str) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text(text)
-    with pytest.raises(FileError) as error:
+    with pytest.raises(BadInput) as error:
         load(path)
     assert len(str(error.value)) < len(str(path)) + 1100
