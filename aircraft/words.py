@@ -16,7 +16,6 @@ class Words:
     """The texts of one sender. Times in s."""
 
     def __init__(self) -> None:
-        """Begin without a word."""
         self.refused: Counter[str] = Counter()  # refused setpoints, by kind of reason
         self._told_s: dict[str, float] = {}  # when each kind of refusal was last reported
         self._chunked_texts = 0

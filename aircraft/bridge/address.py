@@ -8,16 +8,16 @@ from typing import NamedTuple
 from link.access.reach import is_open
 
 ALLOWED = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE[:BAUD]"
-LISTENING = ("udpin", "tcpin")
-"""Kinds that wait for others at HOST:PORT. The others call HOST:PORT."""
+LISTENING = ("udpin", "tcpin")  # kinds that wait for others at HOST:PORT. The others call HOST:PORT.
 EVERYWHERE = "0.0.0.0"
 DEFAULT_BAUD = 57600  # of the telemetry port of ArduPilot and PX4
+# Baud rates that the system knows, with its own numbers for them.
 BAUDS = {
     int(name[1:]): int(getattr(termios, name))
     for name in dir(termios)
     if re.fullmatch(r"B[0-9]+", name) and int(name[1:]) >= 1200
 }
-"""Baud rates that the system knows, with its own numbers for them."""
+# What the other side of each kind of endpoint is, or how it connects.
 OTHER_SIDE = {
     "udpin": "MAVSDK: udpout://{host}:{port}, pymavlink and MAVProxy: udpout:{host}:{port}",
     "udpout": "MAVSDK: udpin://0.0.0.0:{port}, pymavlink and MAVProxy: udpin:0.0.0.0:{port}",
@@ -25,9 +25,8 @@ OTHER_SIDE = {
     "tcp": "it is a server: ArduPilot's SITL, or a program with tcpin:0.0.0.0:{port}",
     "serial": "8 data bits, no parity, no flow control",
 }
-"""What the other side of each kind of endpoint is, or how it connects."""
+# Ports of PX4's first simulated vehicle for programs: where it sends to, and where it listens.
 PX4_PORTS = {"udpout": 14540, "udpin": 14580}
-"""Ports of PX4's first simulated vehicle for programs: where it sends to, and where it listens."""
 
 
 class Address(NamedTuple):

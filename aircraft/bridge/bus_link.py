@@ -11,10 +11,8 @@ from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, STOP
 from link.bus.session import Arrival, Bus
 
 CLOSE_S = 1.0
+# The attachment of what a bridge publishes: it tells other bridges that the sender itself is not on the bus.
 BRIDGED = b"bridge"
-"""The attachment of what a bridge publishes: it tells other bridges that the sender itself is not on the
-bus.
-"""
 
 
 class BusChannel:

@@ -35,8 +35,8 @@ class Traffic:
         self.log = log
         self.received = self.sent = 0
         self.dropped: Counter[str] = Counter()
+        # Signs what is sent, and says what may be received; None if nothing is signed.
         self.signer: Signer | None = None
-        """Signs what is sent, and says what may be received; None if nothing is signed."""
 
     def drop(self, reason: str, count: int = 1) -> None:
         """Count what is dropped."""
@@ -121,7 +121,6 @@ class Endpoint:
     """What lies behind one URL: none, one or several links."""
 
     def __init__(self, address: Address, hub: "Hub") -> None:
-        """Take the parts of the URL."""
         self.address = address
         self.traffic = Traffic(address.text, hub.log)
         self.trouble = ""  # why nothing can be sent; empty if all is well
@@ -157,10 +156,9 @@ class Hub:
     """
 
     def __init__(self, log: Log) -> None:
-        """Begin without endpoints."""
         self.log = log
+        # Its keys' data are functions that take the events.
         self.selector: selectors.BaseSelector = selectors.DefaultSelector()
-        """Its keys' data are functions that take the events."""
         self.endpoints: list[Endpoint] = []
         self.links: list[Channel] = []
         self._came: list[Came] = []

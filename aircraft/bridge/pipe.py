@@ -12,8 +12,8 @@ from aircraft.bridge.address import Address
 from aircraft.bridge.links import AWAY, LARGEST_READ, OVERFLOW, Channel, Endpoint, Hub, Traffic
 from link.bus.backoff import Backoff
 
+# First and longest time after which a lost endpoint is tried again; it doubles each time.
 BACK_OFF_FIRST_S, BACK_OFF_LAST_S = 0.25, 4.0
-"""First and longest time after which a lost endpoint is tried again; it doubles each time."""
 
 
 class Pipe:
@@ -105,7 +105,6 @@ class Retry(Backoff):
     """When a lost endpoint is tried again. After a connection that lasted, waits begin short again."""
 
     def __init__(self) -> None:
-        """Try at once."""
         super().__init__(BACK_OFF_FIRST_S, BACK_OFF_LAST_S)
         self._since_s = math.inf
 
@@ -127,7 +126,6 @@ class Reopened(Endpoint):
     there = "open"  # one word for a link that works
 
     def __init__(self, address: Address, hub: Hub) -> None:
-        """Start without the link."""
         super().__init__(address, hub)
         self.trouble, self._told = f"not yet {self.there}", ""
         self._retry = Retry()

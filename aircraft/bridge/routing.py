@@ -14,11 +14,11 @@ Link = Hashable  # what a caller has for a link to an endpoint
 BUS = 0  # the link to the bus
 ANOTHER_BRIDGE = -1  # where frames come from that another bridge has put on the bus
 DUPLICATE_S = 0.5  # a frame that came on another link less than this ago came around a loop
+# Most frames that are remembered to find duplicates: those of 0.5 s at 16,000 a second.
 MOST_REMEMBERED = 8192
-"""Most frames that are remembered to find duplicates: those of 0.5 s at 16,000 a second."""
 HOME_S = 3.0  # a vehicle that is silent for this long on its link may turn up on another: three heartbeats
+# Most senders remembered for each link, the latest heard. It is bounded because ids are easily forged.
 MOST_HEARD = 1024
-"""Most senders remembered for each link, the latest heard. It is bounded because ids are easily forged."""
 SETUP_SIGNING = 256
 AUTOPILOT = 1  # the component id of autopilots
 
@@ -36,8 +36,8 @@ class Route(NamedTuple):
     """Where a frame goes."""
 
     links: tuple[Link, ...] = ()
+    # Whether a vehicle has sent it: on the bus it belongs on mavlink/out, else on mavlink/in.
     vehicle: bool = False
-    """Whether a vehicle has sent it: on the bus it belongs on mavlink/out, else on mavlink/in."""
     dropped: str = ""  # why it goes nowhere, if it should have gone somewhere
 
 
@@ -54,15 +54,14 @@ class Routes:
     """
 
     def __init__(self) -> None:
-        """Start with the bus alone."""
         self.heard: dict[Link, dict[Sender, None]] = {BUS: {}}  # senders heard on each link, the latest last
         self._systems: dict[Link, set[int]] = {BUS: set()}  # systems heard on each link
+        # Links and systems: whose autopilot has been heard there.
         self._vehicles: set[tuple[Link, int]] = set()
-        """Links and systems: whose autopilot has been heard there."""
+        # The link of each sender of a vehicle, and when it was last heard there.
         self._homes: dict[Sender, tuple[Link, float]] = {}
-        """The link of each sender of a vehicle, and when it was last heard there."""
+        # When each frame came first, and on which links it has come since; the oldest first.
         self.remembered: dict[bytes, tuple[float, frozenset[Link]]] = {}
-        """When each frame came first, and on which links it has come since; the oldest first."""
 
     def join(self, link: Link) -> None:
         """Add a link."""

@@ -17,8 +17,8 @@ from aircraft.bridge.links import (
 )
 from link.signing.signer import FREE
 
+# A caller is forgotten after this silence: every MAVLink program sends a heartbeat every second.
 FORGET_AFTER_S = 60.0
-"""A caller is forgotten after this silence: every MAVLink program sends a heartbeat every second."""
 Peer = tuple[str, int]
 
 
@@ -30,7 +30,6 @@ class Udp(Endpoint):
     """
 
     def __init__(self, address: Address, hub: Hub) -> None:
-        """Take a socket."""
         super().__init__(address, hub)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)

@@ -12,6 +12,7 @@ from aircraft.keeper.kept import Kept
 from link.bus.log import Log
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Message
 
+# Messages that are decoded; the others are only handed on.
 HEARD = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_HEARTBEAT,
@@ -32,7 +33,6 @@ HEARD = frozenset(
         mavlink.MAVLINK_MSG_ID_STATUSTEXT,
     }
 )
-"""Messages that are decoded; the others are only handed on."""
 MOST_FRAMES = 4096  # that wait to be handed on
 
 

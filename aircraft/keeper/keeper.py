@@ -30,23 +30,20 @@ from link.bus.tally import Tally
 from link.early import ask_for_stacks
 from link.modes import Mode, px4_mode
 
+# Real time without a HEARTBEAT of the uav after which it counts as silent, whatever the speed-up: its loop
+# sends one each second.
 SILENT_S = 3.0
-"""Real time without a HEARTBEAT of the uav after which it counts as silent, whatever the speed-up: its
-loop sends one each second.
-"""
+# Two looks this far apart mean that the keeper itself was held up: that time does not count as silence.
 HELD_UP_S = 1.0
-"""Two looks this far apart mean that the keeper itself was held up: that time does not count as silence."""
+# A vehicle that is armed later than this after the uav's last HEARTBEAT has been armed by someone else.
 ARMED_S = 5.0
-"""A vehicle that is armed later than this after the uav's last HEARTBEAT has been armed by someone else.
-"""
 AGAIN_S = 1.0  # how often a vehicle that does not obey is told again, and the uav what has happened
 GIVEN_UP_S = 60.0  # without the uav, an autopilot that is not heard for this long is given up
+# Most bytes that wait for a uav that does not read, twice: a few seconds of telemetry, the newest.
 WAITING_BYTES = 16384
-"""Most bytes that wait for a uav that does not read, twice: a few seconds of telemetry, the newest."""
+# System id of the keeper's own words to the uav. No vehicle has it, and a frame with it from outside is not
+# handed on.
 OWN = 0
-"""System id of the keeper's own words to the uav. No vehicle has it, and a frame with it from outside is
-not handed on.
-"""
 AUTOPILOT, COMPANION = mavlink.MAV_COMP_ID_AUTOPILOT1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 WARNING, CRITICAL, INFO = (
     mavlink.MAV_SEVERITY_WARNING,
@@ -70,8 +67,8 @@ class Keeper:
         """Take how a message goes to the autopilot, how people are told, and what to do with a uav that is
         silent.
         """
+        # The vehicle's system id: that of its companion, the uav. 0 until the uav has found it.
         self.system = 0
-        """The vehicle's system id: that of its companion, the uav. 0 until the uav has found it."""
         self.acted = ""  # why it has acted, once it has: from then on nothing of the uav's own is handed on
         self.over = False  # whether there is nothing left to do
         self._send, self._say, self._hangs = send, say, hangs

@@ -17,13 +17,10 @@ from aircraft.keeper import keeper
 from link.bus.mavlink import Message
 
 MOST_BYTES = 65536  # that wait for a keeper that does not read
-SILENT_S = 5.0
-"""A keeper tells each second how it does. It is replaced once it is silent for this long."""
+SILENT_S = 5.0  # a keeper tells each second how it does. It is replaced once it is silent for this long.
 START_S = 60.0  # longest time in which a keeper starts, on a busy machine
+# How long a keeper may take to end after the uav; one that sends the vehicle home takes longer, and is left.
 END_S = 1.0
-"""How long a keeper may take to end after the uav; one that sends the vehicle home takes longer, and is
-left.
-"""
 
 
 class Kept(Reopened):
@@ -34,10 +31,9 @@ class Kept(Reopened):
     there = "kept"
 
     def __init__(self, address: Address, hub: Hub) -> None:
-        """Start without a keeper."""
         super().__init__(address, hub)
+        # Why the keeper has sent the vehicle home, once it has: nothing of ours goes out any more.
         self.sent_home = ""
-        """Why the keeper has sent the vehicle home, once it has: nothing of ours goes out any more."""
         self._process: subprocess.Popen[bytes] | None = None
         self._said = ""
         self._said_s = self._looked_s = math.inf

@@ -69,7 +69,6 @@ class SerialSensor:
     """The driver of a serial line of numbers. A device that is unplugged may come back."""
 
     def __init__(self, address: Address, log: Log) -> None:
-        """Take the device."""
         self._address = address
         self._log = log
         self._lines = NumberLines(log)

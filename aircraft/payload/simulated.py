@@ -15,7 +15,6 @@ class Simulated:
     """
 
     def __init__(self, world: World) -> None:
-        """Take the world of the mission."""
         self.world = world
         self._lost = -1
 

@@ -27,7 +27,6 @@ class Approach:
     """The way to one target, judged by telemetry. Positions NED in m, times in s."""
 
     def __init__(self, arrival: ArrivalRule, target: Ned, deadline_s: float) -> None:
-        """Begin: not yet near."""
         self.target, self.deadline_s = target, deadline_s
         self._arrival = arrival
         self._near_since_s = math.inf
@@ -62,7 +61,6 @@ class Targets:
     """
 
     def __init__(self) -> None:
-        """Begin with nothing sent, and nothing read back."""
         self._ours: deque[Ned] = deque(maxlen=KEPT)
         self._read: Ned | None = None
         self._fresh = True

@@ -19,10 +19,8 @@ from link.bus.mavlink import ONBOARD_COMPUTER, Message
 
 AGAIN_S = 1.0  # time after which what is unanswered is sent again
 SHORTEST_S = 0.5  # shortest real time for any answer, however fast the vehicle's simulator runs
+# Shortest real time after which a vehicle that says nothing counts as lost, however fast its simulator runs.
 SLOWEST_S = 2.0
-"""Shortest real time after which a vehicle that says nothing counts as lost, however fast its simulator
-runs.
-"""
 BEAT_S = 1.0  # longest time between two HEARTBEATs, of the vehicle's and of real time
 STREAMS_S = 2.0  # time between two looks at which streams are missing
 MOST_UNFIT = 8  # kinds of HEARTBEATs that are not the vehicle's and are told
@@ -54,10 +52,9 @@ class Commander:
         self.system = 0  # the vehicle's system id; 0 until it is found
         self.now_s = 0.0
         self.quiet = False  # whether only HEARTBEATs go out unasked: a pilot leads
+        # Whether the vehicle is in our charge, which our HEARTBEAT says: ACTIVE, else STANDBY. The keeper
+        # goes by it.
         self.in_charge = False
-        """Whether the vehicle is in our charge, which our HEARTBEAT says: ACTIVE, else STANDBY. The keeper
-        goes by it.
-        """
         self.ignored: list[str] = []  # what is not listened to, and why, in words; each once
         self._handling = handling
         self._unfit: set[str] = set()

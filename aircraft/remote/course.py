@@ -11,26 +11,23 @@ from aircraft.remote.procedures import Procedures
 from aircraft.state import Arrived, Ned, Result, as_float32, denied
 from link.bus.mavlink import POSITION_ONLY
 
+# Setpoints a second of the vehicle's time to PX4, from before OFFBOARD on. It wants more than 2.
 STREAM_HZ = 10.0
-"""Setpoints a second of the vehicle's time to PX4, from before OFFBOARD on. It wants more than 2."""
+# Time after which ArduPilot is sent a setpoint again that it has not read back; its target stands until there
+# is another.
 SEND_AGAIN_S = 0.5
-"""Time after which ArduPilot is sent a setpoint again that it has not read back; its target stands until
-there is another.
-"""
 INSIDE_M = 0.05  # a reading is taken at least this far inside the area's edge
 IGNORED_M = 0.5  # a target that the autopilot reads back this far from the setpoint is not the setpoint
 IGNORED_S = 5.0  # a setpoint that is not read back for this long is ignored
+# A setpoint is ignored only once it has been sent this many times: at a high speed-up a lost one is sent
+# again late, by the clock of the vehicle.
 COPIES = 5
-"""A setpoint is ignored only once it has been sent this many times: at a high speed-up a lost one is sent
-again late, by the clock of the vehicle.
-"""
 
 
 class Course:
     """The newest waypoint of a search and the way to it. Places are NED, m from the area's corner."""
 
     def __init__(self, flight: Procedures, config: AircraftConfig, arrival: ArrivalRule) -> None:
-        """Begin without a waypoint."""
         self.waypoint: Ned | None = None  # the last accepted one
         self.heard_s = math.inf  # when it came, or was reached
         self._flight, self._known, self._commander = flight, flight.known, flight.commander

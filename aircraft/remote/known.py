@@ -18,8 +18,8 @@ from plume.geodesy import home_from
 LOST_S = 3.0  # time without a HEARTBEAT after which the link counts as lost; it comes once a second
 STALE_S = 1.0  # time after which a position is too old to act on
 NEW_BOOT_MS = 2000  # a clock that goes back by more than this has begun anew
+# What an autopilot's text on a geofence says.
 BREACH = re.compile("breach|geofence|fence violation", re.IGNORECASE)
-"""What an autopilot's text on a geofence says."""
 OVER = re.compile("clear|recover|deactivated", re.IGNORECASE)  # what a text on a breach that is over says
 INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8,
@@ -62,17 +62,16 @@ class Known:
     landed: int = mavlink.MAV_LANDED_STATE_UNDEFINED
     healthy: bool = True  # False while SYS_STATUS says that a check before arming fails
     battery: float = math.nan  # 0 to 1; NaN where the autopilot does not know
+    # (u cos φ, u sin φ) m/s, x east, y north, to where the wind comes from; None where the autopilot does not
+    # tell.
     wind: tuple[float, float] | None = None
-    """(u cos φ, u sin φ) m/s, x east, y north, to where the wind comes from; None where the autopilot does
-    not tell.
-    """
     wind_s: float = -math.inf  # when it last told of a wind, or that it does not know it
     breach_s: float = -math.inf  # when it last said that the geofence is breached
     breached_s: float = -math.inf  # when a breach last began, or a text last said so
+    # STATUSTEXTs since they were last taken: severity and text.
     texts: list[tuple[int, str]] = field(default_factory=list)
-    """STATUSTEXTs since they were last taken: severity and text."""
+    # The latest texts that warn, with their times.
     warnings: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=20))
-    """The latest texts that warn, with their times."""
     parameters: dict[str, float] = field(default_factory=dict)
     boot_ms: int = 0  # the autopilot's clock when it last told its position or attitude
     boots: int = 0  # how often that clock has begun anew

@@ -34,6 +34,7 @@ SETPOINTS = {
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
     mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET,
 }
+# Commands of which a change of the flight mode may come.
 CHANGES = {
     mavlink.MAV_CMD_DO_SET_MODE,
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
@@ -44,12 +45,10 @@ CHANGES = {
     mavlink.MAV_CMD_MISSION_START,
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
 }
-"""Commands of which a change of the flight mode may come."""
 POSED, KEYS = "in the vehicle's name", "with a key"  # kinds of clients' frames that are dropped
+# Longest real time in which a real vehicle is told to return home when this program ends; a launcher waits
+# for 11 s.
 LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
-"""Longest real time in which a real vehicle is told to return home when this program ends; a launcher
-waits for 11 s.
-"""
 
 
 def leave(vehicle: RemoteVehicle, clock: Clock, tell: Callable[[int, str], None]) -> None:

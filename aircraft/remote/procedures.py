@@ -23,8 +23,8 @@ NEAR_TAKEOFF_M = 0.5  # a take-off has ended this near to its altitude
 WARM_UP_S = 1.5  # setpoints stream for this long before OFFBOARD is asked for; PX4 wants a second
 MODE_TRIES = 5
 AGAIN_S = 1.0
+# A change this soon after a client has asked for one is the client's: a HEARTBEAT comes once a second.
 ASKED_S = 3.0
-"""A change this soon after a client has asked for one is the client's: a HEARTBEAT comes once a second."""
 ENDED = object()
 
 
@@ -32,27 +32,23 @@ class Procedures:
     """The procedures of one vehicle. Times in s of its clock, heights in m above home."""
 
     def __init__(self, commander: Commander) -> None:
-        """Begin with nothing to do."""
         self.commander = commander
         self.known: Known = commander.known
         self.events: list[Said | Led] = []  # what people are told
         self.failure = ""  # why the mission has failed, once it has
         self.targets = Targets()
         self.procedure: Steps[None] | None = None  # what is being done, until it ends
+        # The mode of the search that a procedure is about to reach; None if none runs.
         self.doing: Mode | None = None
-        """The mode of the search that a procedure is about to reach; None if none runs."""
         self.arming = False
         self.streams = False  # whether setpoints are to go out
+        # Whether we have begun this flight: one that was under way before us, or begins after ours, is
+        # someone else's.
         self.begun = False
-        """Whether we have begun this flight: one that was under way before us, or begins after ours, is
-        someone else's.
-        """
         self.armed_by_us = False
+        # Whether someone else has changed the mode or the target: a pilot, or the autopilot by itself. A
+        # flight of theirs that ends in RTL, LAND or BRAKE leaves a free vehicle.
         self.taken_over = False
-        """Whether someone else has changed the mode or the target: a pilot, or the autopilot by itself.
-
-        A flight of theirs that ends in RTL, LAND or BRAKE leaves a free vehicle.
-        """
         self.taken_s = -math.inf  # when someone else last changed it so
         self.taken_from_us = False  # whether it was ours before that
         self.taken_by_client = False  # whether a client of ours had asked for it

@@ -10,13 +10,14 @@ from typing import NamedTuple
 
 from aircraft.firmware import Firmware
 
+# The parameters by which a multirotor's EKF estimates the wind in flight, from its drag; it does if any of
+# them is set.
 ESTIMATES = {
     "ArduCopter": ("EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y", "EK3_DRAG_MCOEF"),
     "PX4": ("EKF2_DRAG_CTRL",),
 }
-"""The parameters by which a multirotor's EKF estimates the wind in flight, from its drag; it does if any
-of them is set.
-"""
+# The parameters to read. ArduPilot 4.7 calls SYSID_MYGCS MAV_GCS_SYSID, and up to MAV_GCS_SYSID_HI all are
+# ground stations.
 ASKED = {
     "ArduCopter": (
         "FS_GCS_ENABLE",
@@ -42,9 +43,7 @@ ASKED = {
         *ESTIMATES["PX4"],
     ),
 }
-"""The parameters to read. ArduPilot 4.7 calls SYSID_MYGCS MAV_GCS_SYSID, and up to MAV_GCS_SYSID_HI all
-are ground stations.
-"""
+# What COM_OBL_RC_ACT chooses. A mode that a pilot flies becomes RETURN without one.
 OFFBOARD_LOSS = (
     "POSITION, without a pilot to RETURN",
     "ALTITUDE, without a pilot to RETURN",
@@ -55,8 +54,8 @@ OFFBOARD_LOSS = (
     "TERMINATE",
     "DISARM",
 )
-"""What COM_OBL_RC_ACT chooses. A mode that a pilot flies becomes RETURN without one."""
 OFFBOARD_EXCEPTED = 4  # bit of COM_RCL_EXCEPT
+# What each parameter chooses; 0 is nothing.
 LOW_BATTERY_ACTIONS = {
     "BATT_FS_LOW_ACT": {
         1: "LAND",
@@ -69,7 +68,6 @@ LOW_BATTERY_ACTIONS = {
     },
     "COM_LOW_BAT_ACT": {1: "RETURN", 2: "LAND", 3: "RETURN, and LAND when it is nearly empty"},
 }
-"""What each parameter chooses; 0 is nothing."""
 FENCE_ALTITUDE, FENCE_CIRCLE = 1, 2  # bits of FENCE_TYPE
 
 

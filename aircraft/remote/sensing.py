@@ -23,7 +23,6 @@ class AskedSensor(GasSensor):
     keys = (PAYLOAD_OUT,)
 
     def __init__(self, vehicle: RemoteVehicle, bus: Bus, winds: Winds, say: Speaker) -> None:
-        """Take the vehicle, the bus that the payload is on, and where the wind of the readings comes from."""
         self._vehicle, self._winds, self._say = vehicle, winds, say
         self._asking = Asking(lambda question: bus.publish(PAYLOAD_IN, question), Codec(0, SEARCH))
         self._arrived: Arrived | None = None

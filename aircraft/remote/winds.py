@@ -43,8 +43,8 @@ class Winds:
         """given: the wind of all readings, whatever payload and autopilot say. scenario: what only a
         simulated payload knows.
         """
+        # Of the last reading, before the first that of the flight; None until it is decided.
         self.source: WindSource | None = None
-        """Of the last reading, before the first that of the flight; None until it is decided."""
         self.news: list[str] = []  # what people are to be told; whoever tells them takes it away
         self._given, self._scenario = given, scenario
 

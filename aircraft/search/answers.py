@@ -8,7 +8,6 @@ class Answers:
     """The readings of one search, by their MAVLink time, and which waypoint answers them."""
 
     def __init__(self) -> None:
-        """Begin without a reading: nothing awaits an answer."""
         self._readings: set[int] = set()
         self._last_ms = -1
         self.newest: int | None = None  # the time of the newest reading

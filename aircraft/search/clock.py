@@ -11,7 +11,6 @@ class Clock:
     """
 
     def __init__(self, speedup: float) -> None:
-        """Start at time 0."""
         self.speedup = speedup
         self._began = time.monotonic()
         self._jumped_s = 0.0

@@ -30,7 +30,6 @@ class Sampling:
         bus: Bus | None,
         log: Log,
     ) -> None:
-        """Begin without a reading."""
         self.faults = FaultySensor()  # what a script does to the sensor's values
         self.radio = FaultyRadio(self._publish)  # what a script does to readings on their way to the bus
         self.codec = Codec(0, 0)  # packs the readings

@@ -10,7 +10,6 @@ class Speaker:
     """Tells people a text of a MAV_SEVERITY: in the log and, once there are clients, as STATUSTEXT (253)."""
 
     def __init__(self, log: Log) -> None:
-        """Begin without clients."""
         self.log = log
         self.clients: Clients | None = None
 
