@@ -1,5 +1,6 @@
 """Addresses of MAVLink endpoints: `udpin:`, `udpout:`, `tcp:`, `tcpin:` and `serial:` URLs."""
 
+import contextlib
 import re
 import socket
 import termios
@@ -61,8 +62,7 @@ class Address(NamedTuple):
             raise ValueError(
                 f"{self.text}: {error.strerror}; wanted an IPv4 address or the name of a host"
             ) from None
-        host, port = found[0][4][:2]
-        return str(host), int(port)
+        return str(found[0][4][0]), int(found[0][4][1])
 
 
 def parse_address(url: str) -> Address:
@@ -87,13 +87,10 @@ def parse_out(url: str, instance: int = 0) -> Address:
     """
     kind, _, host = url.partition(":")
     usual = f":{PX4_PORTS[kind] + instance}" if kind in PX4_PORTS and host and ":" not in host else ""
-    try:
-        address = parse_address(url + usual)
-    except ValueError:
-        address = None
-    if address is None or address.kind not in PX4_PORTS:
-        raise ValueError(
-            f"{url!r} is not a MAVLink UDP URL; wanted udpout:HOST:PORT or udpin:HOST:PORT, with a port from "
-            "1 to 65535"
-        )
-    return address
+    with contextlib.suppress(ValueError):
+        if (address := parse_address(url + usual)).kind in PX4_PORTS:
+            return address
+    raise ValueError(
+        f"{url!r} is not a MAVLink UDP URL; wanted udpout:HOST:PORT or udpin:HOST:PORT, with a port from "
+        "1 to 65535"
+    )

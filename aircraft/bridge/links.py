@@ -7,7 +7,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from aircraft.bridge.address import LISTENING, Address
 from aircraft.bridge.routing import DUPLICATE, UNHEARD
@@ -43,9 +43,9 @@ class Traffic:
         if not count:
             return
         if reason not in self.dropped and reason not in USUAL:
+            hint = "; no frame has come: is this its baud rate?"
             is_wrong = self.is_serial and reason == GARBAGE and not self.received
-            hint = "; no frame has come: is this its baud rate?" * is_wrong
-            self.log.warning(f"{self.url}: drops {reason}{hint}")
+            self.log.warning(f"{self.url}: drops {reason}{hint * is_wrong}")
         self.dropped[reason] += count
         kind = f"{reason} ({self.url})"
         if reason in USUAL:
@@ -68,8 +68,7 @@ class Traffic:
 class Channel:
     """One sender and receiver of frames: a UDP peer, a TCP connection, a serial line.
 
-    With a signer, signatures are the link's own: frames come without them out of `take`, and get them in
-    `send`.
+    With a signer, signatures are the link's own: `send` adds them, `take` removes them.
     """
 
     def __init__(self, traffic: Traffic, send: Callable[[bytes], None], who: str) -> None:
@@ -92,10 +91,10 @@ class Channel:
             self._send(frame)
 
     def take(self, data: bytes, *, datagram: bool = False) -> list[Frame]:
-        """Return the frames that are now complete, but none without a valid signature where the link
-        signs; count them, and garbage.
+        """Return the frames that are now complete; count them, and garbage.
 
-        A serial line may be a console before it carries frames: its opening is no garbage.
+        Where the link signs, frames without a valid signature are left out. A serial line may be a console
+        before it carries frames: its opening is no garbage.
         """
         before = self._garbage
         frames = self._stream.take(data, datagram=datagram)
@@ -108,13 +107,6 @@ class Channel:
         self.traffic.received += len(frames)
         self.traffic.drop(GARBAGE, self._garbage - before)
         return frames
-
-
-class Came(NamedTuple):
-    """A frame and the link that it came on."""
-
-    link: Channel
-    frame: Frame
 
 
 class Endpoint:
@@ -161,7 +153,7 @@ class Hub:
         self.selector: selectors.BaseSelector = selectors.DefaultSelector()
         self.endpoints: list[Endpoint] = []
         self.links: list[Channel] = []
-        self._came: list[Came] = []
+        self._came: list[tuple[Channel, Frame]] = []
         self._tick_at_s = 0.0
         self._bell: threading.Thread | None = None
         self._rung, self._closed = threading.Event(), False
@@ -192,8 +184,11 @@ class Hub:
             for frame in frames:
                 link.send(frame)
 
-    def take(self, wait_s: float = 0.0) -> list[Came]:
-        """Return what has come; waits until something does, at most this real time, and at most TICK_S."""
+    def take(self, wait_s: float = 0.0) -> list[tuple[Channel, Frame]]:
+        """Return the frames that have come, each with its link.
+
+        Waits until something does, at most this real time, and at most TICK_S.
+        """
         if (now_s := time.monotonic()) >= self._tick_at_s:
             self._tick_at_s = now_s + TICK_S
             self.tick(now_s)
@@ -252,7 +247,7 @@ class Hub:
 
     def route(self, link: Channel, frames: list[Frame]) -> None:
         """Take frames of a link."""
-        self._came += [Came(link, frame) for frame in frames]
+        self._came += [(link, frame) for frame in frames]
 
     def unwatch(self, file: Any) -> None:
         """Poll a file or socket no more; it may be closed already."""

@@ -3,6 +3,7 @@
 import selectors
 import socket
 import time
+from collections.abc import Callable
 
 from aircraft.bridge.address import Address
 from aircraft.bridge.links import (
@@ -44,7 +45,7 @@ class Udp(Endpoint):
                 self._socket.bind(where)
             else:
                 self._socket.connect(where)  # from now on the kernel delivers only this peer's datagrams
-                self._called = self._link(None, f"{self.address.host}:{self.address.port}")
+                self._called = self._link(self._socket.send, f"{self.address.host}:{self.address.port}")
                 self._hub.join(self._called)
         except OSError as error:
             raise ValueError(f"{self.address.text}: {error.strerror}") from None
@@ -63,13 +64,10 @@ class Udp(Endpoint):
             else:
                 self._hear(datagram, peer)
 
-    def _link(self, peer: Peer | None, who: str) -> Channel:
+    def _link(self, put: Callable[[bytes], int], who: str) -> Channel:
         def send(frame: bytes) -> None:
             try:
-                if peer is None:
-                    self._socket.send(frame)
-                else:
-                    self._socket.sendto(frame, peer)
+                put(frame)
             except BlockingIOError:
                 self.traffic.drop(OVERFLOW)
             except OSError:  # nobody listens there (yet)
@@ -82,7 +80,9 @@ class Udp(Endpoint):
     # ---- those who call ----
 
     def _hear(self, datagram: bytes, peer: Peer) -> None:
-        caller = self._callers.get(peer) or self._link(peer, f"{peer[0]}:{peer[1]}")
+        caller = self._callers.get(peer) or self._link(
+            lambda frame: self._socket.sendto(frame, peer), f"{peer[0]}:{peer[1]}"
+        )
         frames = caller.take(datagram, datagram=True)
         if frames or caller not in self._hub.links:
             caller.heard_s = time.monotonic()

@@ -10,8 +10,6 @@ from link.bus.backoff import Backoff
 from link.bus.keys import RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.mavlink import Codec
 
-__all__ = ["Asking", "Sample"]
-
 
 class Asking:
     """Asks the payload for a value.
