@@ -2,33 +2,26 @@
 
 import math
 from collections import deque
-from typing import NamedTuple
 
 from aircraft.state import Ned
 
+# It arrives once it has stayed this near to its target, no faster than this, for this long.
+RADIUS_M, SPEED_MPS, SETTLE_S = 0.3, 0.25, 0.3
+SLOWEST_MPS, GRACE_S = 1.0, 30.0  # a leg has failed that takes longer than at this speed, and this much more
+SAME_M = 0.1  # targets this near to each other are the same
+KEPT = 4  # this many of our latest targets may still be read back: a radio link is slow
 
-class ArrivalRule(NamedTuple):
-    """It arrives once it has stayed within `radius_m` of its target, no faster than `speed_mps`, for
-    `settle_s`.
-    """
 
-    radius_m: float = 0.3
-    speed_mps: float = 0.25
-    settle_s: float = 0.3
-    slowest_mps: float = 1.0  # a leg that takes longer than at this speed, and `grace_s` more, has failed
-    grace_s: float = 30.0
-
-    def deadline_s(self, now_s: float, position: Ned, target: Ned) -> float:
-        """Return when a leg that begins now has failed."""
-        return now_s + math.dist(position, target) / self.slowest_mps + self.grace_s
+def deadline_s(now_s: float, position: Ned, target: Ned) -> float:
+    """Return when a leg that begins now has failed."""
+    return now_s + math.dist(position, target) / SLOWEST_MPS + GRACE_S
 
 
 class Approach:
     """The way to one target, judged by telemetry. Positions NED in m, times in s."""
 
-    def __init__(self, arrival: ArrivalRule, target: Ned, deadline_s: float) -> None:
+    def __init__(self, target: Ned, deadline_s: float) -> None:
         self.target, self.deadline_s = target, deadline_s
-        self._arrival = arrival
         self._near_since_s = math.inf
 
     def arrived(self, at_s: float, position: Ned, velocity: Ned, known: bool) -> bool:
@@ -38,16 +31,9 @@ class Approach:
 
         By the vehicle's clock, what a slow or halting link takes is no time at rest.
         """
-        near = (
-            math.dist(position, self.target) <= self._arrival.radius_m
-            and math.hypot(*velocity) <= self._arrival.speed_mps
-        )
+        near = math.dist(position, self.target) <= RADIUS_M and math.hypot(*velocity) <= SPEED_MPS
         self._near_since_s = min(self._near_since_s, at_s) if near and known else math.inf
-        return at_s - self._near_since_s >= self._arrival.settle_s
-
-
-SAME_M = 0.1  # targets this near to each other are the same
-KEPT = 4  # as many of our latest targets may still be read back: a radio link is slow
+        return at_s - self._near_since_s >= SETTLE_S
 
 
 class Targets:

@@ -6,7 +6,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.config import AircraftConfig
 from aircraft.operator import AUTOPILOT
-from aircraft.remote.arrival import Approach, ArrivalRule
+from aircraft.remote.arrival import RADIUS_M, Approach, deadline_s
 from aircraft.remote.procedures import Procedures
 from aircraft.state import Arrived, Ned, Result, as_float32, denied
 from link.bus.mavlink import POSITION_ONLY
@@ -27,11 +27,11 @@ COPIES = 5
 class Course:
     """The newest waypoint of a search and the way to it. Places are NED, m from the area's corner."""
 
-    def __init__(self, flight: Procedures, config: AircraftConfig, arrival: ArrivalRule) -> None:
+    def __init__(self, flight: Procedures, config: AircraftConfig) -> None:
         self.waypoint: Ned | None = None  # the last accepted one
         self.heard_s = math.inf  # when it came, or was reached
         self._flight, self._known, self._commander = flight, flight.known, flight.commander
-        self._config, self._arrival = config, arrival
+        self._config = config
         self._approach: Approach | None = None  # until the waypoint is reached
         self._sent_s = -math.inf
         self._ignored_since_s = math.inf
@@ -52,18 +52,19 @@ class Course:
         wanted = as_float32(wanted)
         if outside := self._config.outside(wanted):
             return denied(f"Waypoint refused: {outside[1]}", outside[0])
-        inset_m = self._arrival.radius_m + INSIDE_M
+        inset_m = RADIUS_M + INSIDE_M
         north, east = (min(max(along_m, inset_m), self._config.area_m - inset_m) for along_m in wanted[:2])
         down = -self._config.takeoff_altitude_m if answers else wanted[2]
         if answers or (north, east, down) != self.waypoint:
             self.waypoint = as_float32((north, east, down))
         now_s = self.heard_s = self._commander.now_s
-        deadline_s = self._arrival.deadline_s(now_s, self._known.place, self.waypoint)
-        deadline_s = max(deadline_s, now_s + 2 * COPIES * self._commander.patient(SEND_AGAIN_S))
         if self._approach is None or answers or self._approach.target != self.waypoint:
-            self._approach = Approach(self._arrival, self.waypoint, deadline_s)
+            self._approach = Approach(self.waypoint, math.inf)
             self._ignored_since_s = math.inf
-        self._approach.deadline_s = deadline_s
+        self._approach.deadline_s = max(
+            deadline_s(now_s, self._known.place, self.waypoint),
+            now_s + 2 * COPIES * self._commander.patient(SEND_AGAIN_S),
+        )
         self._sent_s = -math.inf
         self.send()
         return None
@@ -71,8 +72,8 @@ class Course:
     def again(self) -> None:
         """Let the next arrival be at the same waypoint: a reading was in vain."""
         assert self.waypoint
-        deadline_s = self._arrival.deadline_s(self._commander.now_s, self._known.place, self.waypoint)
-        self._approach = Approach(self._arrival, self.waypoint, deadline_s)
+        until_s = deadline_s(self._commander.now_s, self._known.place, self.waypoint)
+        self._approach = Approach(self.waypoint, until_s)
 
     def send(self) -> None:
         """Send the waypoint while it is flown: to PX4 all the time, to ArduPilot until it reads it back.
@@ -107,8 +108,7 @@ class Course:
             return None
         place = known.place
         if known.lost(now_s) or known.glitches.lasts(now_s):  # nothing can be said about it meanwhile
-            deadline_s = self._arrival.deadline_s(now_s, place, approach.target)
-            approach.deadline_s = max(approach.deadline_s, deadline_s)
+            approach.deadline_s = max(approach.deadline_s, deadline_s(now_s, place, approach.target))
         at_s, trusted = known.position_ms / 1000.0, known.trusts_place(now_s)
         if approach.arrived(at_s, place, known.velocity, trusted):
             self._approach, self.heard_s, known.glitches.read_s = None, now_s, now_s
@@ -117,8 +117,9 @@ class Course:
         if self._is_ignored(approach.target):
             self._flight.fail(f"{waypoint} is ignored by the autopilot: is it outside its geofence?")
         elif now_s > approach.deadline_s:
-            away_m = math.dist(place, approach.target)
-            self._flight.fail(f"{waypoint} not reached in time: {away_m:.1f} m away")
+            self._flight.fail(
+                f"{waypoint} not reached in time: {math.dist(place, approach.target):.1f} m away"
+            )
         return None
 
     def _is_ignored(self, target: Ned) -> bool:

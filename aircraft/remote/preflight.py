@@ -151,11 +151,13 @@ class Preflight:
     @property
     def _pilot(self) -> str:
         """Whose choice of mode on the ground is waited for; empty if nobody's."""
-        known, start = self._known, self._flight.start
+        known, start = self._known, self._known.firmware.modes[self._flight.start]
         if not self._flight.taken_over or known.custom_mode == start:
             return ""
-        gives = known.firmware.mode_name(start)
-        return f"a pilot has chosen {known.mode_name}; {gives} gives the vehicle to the search"
+        return (
+            f"a pilot has chosen {known.mode_name}; {known.firmware.mode_name(start)} gives the vehicle to "
+            "the search"
+        )
 
     @property
     def _battery(self) -> Check:

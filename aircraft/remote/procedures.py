@@ -71,10 +71,9 @@ class Procedures:
         return self.begun and not self.taken_over
 
     @property
-    def start(self) -> int:
-        """The custom mode in which it is armed."""
-        firmware = self.known.firmware
-        return firmware.modes[Mode.OFFBOARD if firmware.is_ardupilot else Mode.HOLD]
+    def start(self) -> Mode:
+        """The mode in which it is armed."""
+        return Mode.OFFBOARD if self.known.firmware.is_ardupilot else Mode.HOLD
 
     @property
     def guided(self) -> int:
@@ -196,7 +195,7 @@ class Procedures:
         self._stop()
         if self.known.flying and self.in_charge:
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "Returning home")
-            self.go_home()
+            self.enter(Mode.RETURN)
         elif self.known.armed and not self.known.flying:
             self.commander.send(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
 
@@ -204,13 +203,13 @@ class Procedures:
         """Give the mission up, and land on the spot: there is no position to return by."""
         self.failure = self.failure or reason
         self.say(mavlink.MAV_SEVERITY_CRITICAL, f"{self.failure}: landing")
-        self.land()
+        self.enter(Mode.LAND)
 
     # ---- procedures ----
 
     def arm(self) -> None:
         """Arm, in the mode from which it takes off."""
-        self.begin(self._arm(), None, {self.start})
+        self.begin(self._arm(), None, self._numbers(self.start))
         self.arming = True
 
     def _arm(self) -> Steps[None]:
@@ -246,77 +245,72 @@ class Procedures:
         )  # arming sets home anew
         home_m = known.to_home()[2]
         assert known.home
-        above_sea_m = altitude_m + known.home[2]
-        unset, above = (0.0, altitude_m) if known.firmware.is_ardupilot else (math.nan, above_sea_m)
+        unset, above = (
+            (0.0, altitude_m) if known.firmware.is_ardupilot else (math.nan, altitude_m + known.home[2])
+        )
         climb = (mavlink.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, unset, unset, unset, above)
         result = yield from self.commander.command(*climb, seen=lambda: known.flying, within_s=LIFT_OFF_S)
         if not result.accepted:
-            stopped = "Take-off failed: the motors have stopped"
-            self.fail(f"Take-off refused: {result.reason}" if known.armed else stopped)
+            self.fail(
+                f"Take-off refused: {result.reason}"
+                if known.armed
+                else "Take-off failed: the motors have stopped"
+            )
             return
 
         def height_m() -> float:
             return home_m - known.position[2]
 
-        most_s = altitude_m / SLOWEST_CLIMB_MPS + CLIMB_GRACE_S
         there = yield from self.commander.until(
-            lambda: height_m() >= altitude_m - NEAR_TAKEOFF_M or not known.armed, most_s
+            lambda: height_m() >= altitude_m - NEAR_TAKEOFF_M or not known.armed,
+            altitude_m / SLOWEST_CLIMB_MPS + CLIMB_GRACE_S,
         )
         if not there or not known.armed:
             self.fail(f"Take-off failed: {height_m():.1f} m reached of {altitude_m:g} m")
 
-    def fly(self) -> None:
-        """Follow the setpoints, which stream from now on."""
-        self.begin(self._fly(), Mode.OFFBOARD, {self.guided})
-        self.streams = True
-
-    def _fly(self) -> Steps[None]:
-        if not self.known.firmware.is_ardupilot:
-            yield from self.commander.wait(self.commander.patient(WARM_UP_S))
-        if refused := (yield from self._insist(self.guided)):
-            self.fail(refused)
-
-    def hold(self) -> None:
-        """Stop and stay."""
-        self.begin(self._hold(), Mode.HOLD, self._numbers(Mode.HOLD))
-
-    def _hold(self) -> Steps[None]:
-        if refused := (yield from self._insist(self.known.firmware.modes[Mode.HOLD])):
-            self.say(mavlink.MAV_SEVERITY_WARNING, refused)
-
-    def go_home(self) -> None:
-        """Return and land."""
-        self.begin(self._until_down(Mode.RETURN), Mode.RETURN, self._numbers(*COMING_DOWN))
-
-    def land(self) -> None:
-        """Land on the spot."""
-        self.begin(self._until_down(Mode.LAND), Mode.LAND, self._numbers(*COMING_DOWN))
+    def enter(self, mode: Mode) -> None:
+        """Follow the setpoints, which stream from now on (OFFBOARD); stay (HOLD); or come down."""
+        comes_down = mode in COMING_DOWN
+        procedure = self._until_down(mode) if comes_down else self._reach(mode)
+        self.begin(procedure, mode, self._numbers(*COMING_DOWN) if comes_down else self._numbers(mode))
+        self.streams = mode is Mode.OFFBOARD
 
     def _until_down(self, mode: Mode) -> Steps[None]:
         """Insist for ever: nobody else is in charge. A return that is refused becomes a landing."""
-        modes = self.known.firmware.modes
         while True:
-            result = yield from self._change(modes[mode])
+            result = yield from self._change(mode)
             if not result.accepted and mode is Mode.RETURN and result.reason != NO_ANSWER:
                 self.say_once(mavlink.MAV_SEVERITY_CRITICAL, f"Return refused: {result.reason}; landing")
-                result = yield from self._change(modes[Mode.LAND])
+                result = yield from self._change(Mode.LAND)
             if result.accepted or not self.known.armed:
                 return
             yield from self.commander.wait(AGAIN_S)
 
-    def _insist(self, mode: int) -> Steps[str]:
-        """Ask for a mode MODE_TRIES times; returns that it is refused, and why, if it is."""
+    def _reach(self, mode: Mode) -> Steps[None]:
+        """Insist on a mode that stays in the air, MODE_TRIES times; the search cannot do without OFFBOARD."""
+        if mode is Mode.OFFBOARD and not self.known.firmware.is_ardupilot:
+            yield from self.commander.wait(self.commander.patient(WARM_UP_S))
         for _ in range(MODE_TRIES):
             result = yield from self._change(mode)
             if result.accepted:
-                return ""
+                return
             yield from self.commander.wait(AGAIN_S)
-        return f"{self.known.firmware.mode_name(mode)} refused: {result.reason}"
+        name = self.known.firmware.mode_name(self.known.firmware.modes[mode])
+        refused = f"{name} refused: {result.reason}"
+        if mode is Mode.OFFBOARD:
+            self.fail(refused)
+        else:
+            self.say(mavlink.MAV_SEVERITY_WARNING, refused)
 
-    def _change(self, mode: int) -> Steps[Result]:
-        known, number = self.known, mavlink.MAV_CMD_DO_SET_MODE
-        params = known.firmware.params(mode)
-        return (yield from self.commander.command(number, *params, seen=lambda: known.custom_mode == mode))
+    def _change(self, mode: Mode) -> Steps[Result]:
+        known, number = self.known, self.known.firmware.modes[mode]
+        return (
+            yield from self.commander.command(
+                mavlink.MAV_CMD_DO_SET_MODE,
+                *known.firmware.params(number),
+                seen=lambda: known.custom_mode == number,
+            )
+        )
 
     def _numbers(self, *modes: Mode) -> set[int]:
         return {self.known.firmware.modes[mode] for mode in modes}

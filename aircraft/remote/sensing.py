@@ -49,14 +49,13 @@ class AskedSensor(GasSensor):
         sample = self._asking.receive(payload)
         if sample is None:
             return None
-        vehicle, winds, measured = self._vehicle, self._winds, None
+        vehicle, winds, known, measured = self._vehicle, self._winds, self._vehicle.flight.known, None
         arrived, self._arrived = self._arrived, None
         if winds.source is None:
-            known = vehicle.flight.known
             check = winds.before(sample.wind, vehicle.wind, known.parameters, known.firmware.name)
             vehicle.preflight.take_wind(check)
-        elif arrived and wanted and vehicle.doubtful:
-            vehicle.arrive_again()
+        elif arrived and wanted and known.glitches.lasts(vehicle.now_s):
+            vehicle.course.again()
         elif arrived and wanted:
             measured = Measured(arrived, sample.gas, winds.of(sample.wind, vehicle.wind))
         for text in winds.news:
