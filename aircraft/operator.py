@@ -23,6 +23,13 @@ WANTED: dict[CommandName, Mode] = {
     "return": Mode.RETURN,
     "land": Mode.LAND,
 }
+# The command of each word to the search of a real vehicle: its number, and its param 1 if that counts
+TO_SEARCH: dict[CommandName, tuple[int, ...]] = {
+    "hold": (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0),
+    "resume": (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1),
+    "return": (mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,),
+    "land": (mavlink.MAV_CMD_NAV_LAND,),
+}
 OPERATOR = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)  # system id and component id of a ground station
 # Component ids of a vehicle's autopilot, and of the search that flies a real one
 AUTOPILOT, SEARCH = int(mavlink.MAV_COMP_ID_AUTOPILOT1), ONBOARD_COMPUTER
@@ -35,8 +42,8 @@ IN_PROGRESS_S = 10.0  # longest time for a command that the autopilot says is in
 DONE_S = 3.0
 REASON_S = 0.3  # time in which the text with the reason follows a refusal
 NO_ANSWER = "no answer"
-# What an answer means that comes without a reason
-UNSAID = {
+# What people are told of an answer that comes without a reason
+DEFAULT_REASONS = {
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "the vehicle refuses it for now",
     mavlink.MAV_RESULT_DENIED: "the vehicle refuses it",
     mavlink.MAV_RESULT_UNSUPPORTED: "the vehicle does not know this command",
@@ -50,6 +57,12 @@ def command(system: int, number: int, *params: float, component: int = AUTOPILOT
     return mavlink.MAVLink_command_long_message(
         system, component, number, 0, *params, *[0.0] * (7 - len(params))
     )
+
+
+def companion_heartbeat(state: int) -> Message:
+    """HEARTBEAT (0) of a companion computer in a MAV_STATE."""
+    kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+    return mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, state, 3)
 
 
 def change_mode(system: int, mode: Mode) -> Message:
@@ -66,30 +79,15 @@ def order(name: CommandName, system: int, component: int = AUTOPILOT) -> Message
     hold: stay where it is. resume: give the vehicle back to its search. return: fly home and land. land:
     land here.
     """
-    match name:
-        case "return":
-            return command(system, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, component=component)
-        case "land":
-            return command(system, mavlink.MAV_CMD_NAV_LAND, component=component)
-    if component == SEARCH:
-        return command(
-            system, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, float(name == "resume"), component=component
-        )
-    return change_mode(system, WANTED[name])
+    if component != SEARCH and name in ("hold", "resume"):
+        return change_mode(system, WANTED[name])
+    return command(system, *TO_SEARCH[name], component=component)
 
 
 def word_of(number: int, param1: float) -> CommandName | None:
-    """Return the word that a command to the `SEARCH` is: a MAV_CMD and its param 1; None if it is none of
-    the four.
-    """
-    match number:
-        case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-            return "return"
-        case mavlink.MAV_CMD_NAV_LAND:
-            return "land"
-        case mavlink.MAV_CMD_DO_PAUSE_CONTINUE if param1 in (0.0, 1.0):
-            return "resume" if param1 else "hold"
-    return None
+    """Return the word that a MAV_CMD and its param 1 are to the `SEARCH`; None if they are none."""
+    said = (number,), (number, param1)
+    return next((word for word, asked in TO_SEARCH.items() if asked in said), None)
 
 
 def named(sender: tuple[int, int], whence: str) -> str:
@@ -179,5 +177,5 @@ class CommandRun:
             return None
         return Result(
             self._result,
-            reason or UNSAID.get(self._result, f"the vehicle answered with result {self._result}"),
+            reason or DEFAULT_REASONS.get(self._result, f"the vehicle answered with result {self._result}"),
         )

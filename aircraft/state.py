@@ -50,17 +50,15 @@ class Reached(NamedTuple):
     seq: int
 
 
-class Led(NamedTuple):
-    """Someone else has changed the flight mode or the target of a real autopilot: a pilot, or the
-    autopilot itself.
-    """
+class TakenOver(NamedTuple):
+    """A pilot, or the autopilot itself, has changed the flight mode or the target of a real autopilot."""
 
     time_s: float
     mode: str  # the autopilot's name of the mode, and that the target is another one
     by: str = ""  # who asked for it, if a client has; empty: the autopilot itself, or a pilot by another way
 
 
-VehicleEvent = Arrived | Said | Reached | Led
+VehicleEvent = Arrived | Said | Reached | TakenOver
 
 
 class VehicleFailed(Exception):

@@ -37,14 +37,16 @@ class Words:
 
     def refuse(self, message: Message, result: Result) -> list[Message]:
         """Return the answer to a command or a change of mode that is refused."""
-        command = message.command if message.get_type() != "SET_MODE" else mavlink.MAVLINK_MSG_ID_SET_MODE
-        return self.answer(message, command, result)
+        is_mode = message.get_type() == "SET_MODE"
+        return self.answer(message, mavlink.MAVLINK_MSG_ID_SET_MODE if is_mode else message.command, result)
 
     def answer(self, message: Message, command: int, result: Result) -> list[Message]:
         """Return the acknowledgement of a command, and the reason if it is refused."""
-        to = message.get_srcSystem(), message.get_srcComponent()
         ack = mavlink.MAVLink_command_ack_message(
-            command, result.code, target_system=to[0], target_component=to[1]
+            command,
+            result.code,
+            target_system=message.get_srcSystem(),
+            target_component=message.get_srcComponent(),
         )
         return [ack, *self.reason(result)]
 

@@ -27,7 +27,7 @@ DUPLICATE, ELSEWHERE, UNHEARD = (
     "of a vehicle of another link",
     "for a target that nobody has heard",
 )
-KEYS = "with a key (SETUP_SIGNING)"  # why a frame is dropped
+WITH_KEY = "with a key (SETUP_SIGNING)"  # why a frame is dropped
 
 Sender = tuple[int, int]  # system and component id
 
@@ -80,10 +80,8 @@ class Routes:
         """Return where a frame goes that came on `link`; `out`: the bus had it on mavlink/out; `brought`:
         by another bridge.
         """
-        if (
-            frame.message_id == SETUP_SIGNING
-        ):  # a key that came over a safe link must not leave by another one
-            return Route(dropped=KEYS)
+        if frame.message_id == SETUP_SIGNING:  # a key from a safe link must not leave by another one
+            return Route(dropped=WITH_KEY)
         sender = (frame.system, frame.component)
         came_from = ANOTHER_BRIDGE if brought else link
         if out and came_from == BUS:
@@ -104,8 +102,8 @@ class Routes:
         there = {other for other in self.heard if self._has(other, *target)}
         if vehicle and link != BUS:
             there.add(BUS)  # mavlink/out holds all that a vehicle says, for records and viewers
-        links = tuple(other for other in self.heard if other in there and other != link)
-        return Route(links, out or vehicle, "" if there else UNHEARD)
+        onwards = (other for other in self.heard if other in there and other != link)
+        return Route(tuple(onwards), out or vehicle, "" if there else UNHEARD)
 
     def _came_elsewhere(self, data: bytes, link: Link, now_s: float, *, remember: bool) -> bool:
         """Return whether a frame came on another link lately. A sender may repeat itself on its own link.

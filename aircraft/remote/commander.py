@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.firmware import FIRMWARES, unfit
 from aircraft.keeper.connection import Connection
-from aircraft.operator import AUTOPILOT, DONE_S, REASON_S, TRIES, CommandRun, command
+from aircraft.operator import AUTOPILOT, DONE_S, REASON_S, TRIES, CommandRun, command, companion_heartbeat
 from aircraft.remote.known import Known
 from aircraft.state import ACCEPTED, Result, VehicleFailed
 from link.bus.mavlink import ONBOARD_COMPUTER, Message
@@ -91,8 +91,7 @@ class Commander:
         if state == self._state and self.now_s - self._beat_s < min(BEAT_S, self.speedup):
             return
         self._beat_s, self._state = self.now_s, state
-        kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
-        self.radio.send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, state, 3))
+        self.radio.send(companion_heartbeat(state))
 
     def _take(self, message: Message) -> None:
         system, kind = message.get_srcSystem(), message.get_type()
@@ -121,8 +120,9 @@ class Commander:
         elif reason not in self._unfit and len(self._unfit) < MOST_UNFIT:
             # a gimbal or a companion that has taken the vehicle's ids
             self._unfit.add(reason)
-            ids = f"{system}/{AUTOPILOT}"
-            self.ignored.append(f"Another HEARTBEAT with the vehicle's ids, {ids}, is ignored: {reason}")
+            self.ignored.append(
+                f"Another HEARTBEAT with the vehicle's ids, {system}/{AUTOPILOT}, is ignored: {reason}"
+            )
         return not reason
 
     def _ask_for_streams(self) -> None:

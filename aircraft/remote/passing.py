@@ -14,7 +14,7 @@ from aircraft.bridge.bus_link import BRIDGED
 from aircraft.bridge.endpoints import endpoint_of
 from aircraft.bridge.links import Hub
 from aircraft.bridge.routing import SETUP_SIGNING
-from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, named, word_of
+from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, companion_heartbeat, named, word_of
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.handling import Handling
@@ -45,7 +45,7 @@ CHANGES = {
     mavlink.MAV_CMD_MISSION_START,
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
 }
-POSED, KEYS = "in the vehicle's name", "with a key"  # kinds of clients' frames that are dropped
+POSED, WITH_KEY = "in the vehicle's name", "with a key"  # kinds of clients' frames that are dropped
 # Longest real time in which a real vehicle is told to return home when this program ends; a launcher waits
 # for 11 s.
 LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
@@ -127,8 +127,7 @@ class RealClients:
     def changed(self) -> None:
         """Tell that the search is there."""
         self._beat_at_s = time.monotonic() + BEAT_S
-        kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
-        self.send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
+        self.send(companion_heartbeat(mavlink.MAV_STATE_ACTIVE))
 
     def tell(self, severity: int, text: str) -> None:
         """Tell a text."""
@@ -171,7 +170,7 @@ class RealClients:
         if frame.system == system and frame.component in (AUTOPILOT, SEARCH):
             tally.refuse(POSED)
         elif frame.message_id == SETUP_SIGNING:  # a key from a safe link must not leave by another one
-            tally.refuse(KEYS)
+            tally.refuse(WITH_KEY)
         elif target_system and target_component == SEARCH:
             if frame.message_id in COMMANDS:
                 with contextlib.suppress(mavlink.MAVError):

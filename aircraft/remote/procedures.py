@@ -12,7 +12,7 @@ from aircraft.operator import NO_ANSWER
 from aircraft.remote.arrival import Targets
 from aircraft.remote.commander import Commander, Steps
 from aircraft.remote.known import Known
-from aircraft.state import Led, Result, Said
+from aircraft.state import Result, Said, TakenOver
 from link.modes import Mode
 
 ARMING_S, ARM_AGAIN_S = 60.0, 3.0  # a refused arming is tried again every ARM_AGAIN_S, for at most ARMING_S
@@ -34,7 +34,7 @@ class Procedures:
     def __init__(self, commander: Commander) -> None:
         self.commander = commander
         self.known: Known = commander.known
-        self.events: list[Said | Led] = []  # what people are told
+        self.events: list[Said | TakenOver] = []  # what people are told
         self.failure = ""  # why the mission has failed, once it has
         self.targets = Targets()
         self.procedure: Steps[None] | None = None  # what is being done, until it ends
@@ -171,7 +171,7 @@ class Procedures:
         self.taken_from_us, self.taken_by_client = self.in_charge, asked
         self.taken_over, self.taken_s, self.streams = True, self.now_s, False
         self._stop()
-        self.events.append(Led(self.now_s, how, self._client if asked else ""))
+        self.events.append(TakenOver(self.now_s, how, self._client if asked else ""))
 
     def asked_by(self, client: str) -> None:
         """Note that a client's command goes to the autopilot through us: what changes soon after it, the

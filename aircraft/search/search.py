@@ -124,9 +124,10 @@ class Search:
             self._obeyed(self.vehicle.set_mode(now_s, Mode.OFFBOARD))
             self.state = SEARCHING
 
-    def led(self, mode: str, by: str) -> None:
-        """A real autopilot's mode or target was changed by a pilot, or by itself; `by`: the client who
-        asked for it, if one has.
+    def taken_over(self, mode: str, by: str) -> None:
+        """A pilot, or a real autopilot itself, has changed its mode or target.
+
+        by: the client who asked for it, if one has.
         """
         if self.under_way and self.vehicle.armed:
             pilot, returned = self._pilot, self.state == RETURNING
@@ -196,10 +197,9 @@ class Search:
 
     def _obeyed(self, result: Result) -> bool:
         if not result.accepted:
-            going_on = result.code == mavlink.MAV_RESULT_IN_PROGRESS
-            self._say_once(
-                result.reason, mavlink.MAV_SEVERITY_INFO if going_on else mavlink.MAV_SEVERITY_WARNING
-            )
+            goes_on = result.code == mavlink.MAV_RESULT_IN_PROGRESS
+            severity = mavlink.MAV_SEVERITY_INFO if goes_on else mavlink.MAV_SEVERITY_WARNING
+            self._say_once(result.reason, severity)
         return result.accepted
 
     def _say_once(self, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING) -> None:
@@ -220,8 +220,7 @@ class Search:
         if result is None and (waypoint.coordinate_frame != LOCAL_NED or waypoint.type_mask & NO_POSITION):
             result = denied("Waypoint refused: the answer to a reading is a position", "no position")
         if result is None:
-            position = waypoint.x, waypoint.y, waypoint.z
-            result = self.vehicle.setpoint(t_s, position, answers=True)
+            result = self.vehicle.setpoint(t_s, (waypoint.x, waypoint.y, waypoint.z), answers=True)
         if result.accepted:
             self.answers.awaited = False
             self.waypoint = self.vehicle.waypoint or self.waypoint
@@ -230,9 +229,8 @@ class Search:
     def obey(self, word: CommandName, t_s: float, by: str) -> Result:
         """Do what an operator tells the search of a real vehicle: give way to a mode, or lead again."""
         self.vehicle.catch_up(t_s)
-        name = word.capitalize()
         if not self.under_way:
-            return not_now(f"{name} refused: the search flies nothing")
+            return not_now(f"{word.capitalize()} refused: the search flies nothing")
         if word == "resume":
             return self.give_back(by)
         result = self.vehicle.set_mode(t_s, WANTED[word])

@@ -30,7 +30,7 @@ from aircraft.search.sampling import Sampling
 from aircraft.search.search import PAUSED, SEARCHING, STANDBY, Search
 from aircraft.search.speaker import Speaker
 from aircraft.search.timeline import Timeline
-from aircraft.state import Arrived, Led, Reached, VehicleFailed
+from aircraft.state import Arrived, Reached, TakenOver, VehicleFailed
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, STOP, WAYPOINT
 from link.bus.mavlink import BadFrame, Codec, Message, unpack_waypoint
@@ -67,14 +67,13 @@ class Uav:
         """
         self._search, self._vehicle, self._clients, self._sensor = search, search.vehicle, clients, sensor
         self._clock, self._inbox, self._bus, self._say, *_ = equipment
-        say, bus = equipment.say, equipment.bus
-        self._log, self._tally = say.log, say.log.tally
+        self._log, self._tally = equipment.say.log, equipment.say.log.tally
         self._handling = Handling(self._log)
         self._timeline = Timeline(events, self._perform)
-        self._sampling = Sampling(search, clients, sensor, self._timeline, bus, self._log)
+        self._sampling = Sampling(search, clients, sensor, self._timeline, self._bus, self._log)
         self._services: set[str] = set()
         self._tally.state = search.state
-        say.clients = clients
+        self._say.clients = clients
         self._meet()
 
     def _meet(self) -> None:
@@ -138,8 +137,8 @@ class Uav:
                 self._sampling.arrived(event)
             elif isinstance(event, Reached):
                 self._clients.send(mavlink.MAVLink_mission_item_reached_message(event.seq))
-            elif isinstance(event, Led):
-                self._search.led(event.mode, event.by)
+            elif isinstance(event, TakenOver):
+                self._search.taken_over(event.mode, event.by)
             else:
                 (self._say.note if event.heard else self._say)(event.severity, event.text)
 

@@ -12,10 +12,10 @@ from aircraft.bridge.routing import (
     DUPLICATE_S,
     ELSEWHERE,
     HOME_S,
-    KEYS,
     MOST_HEARD,
     MOST_REMEMBERED,
     UNHEARD,
+    WITH_KEY,
     Route,
     Routes,
 )
@@ -284,5 +284,5 @@ def test_a_key_goes_nowhere_and_its_sender_is_not_learned_from_it() -> None:
     net = bus_vehicle()
     for link, to in ((A, (0, 0)), (A, (1, 1)), (BUS, (255, 190))):
         setup = mavlink.MAVLink_setup_signing_message(*to, [link] * 32, 0)
-        assert net.routes.route(said(setup, (9, 9)), link, 0.0) == Route(dropped=KEYS)
+        assert net.routes.route(said(setup, (9, 9)), link, 0.0) == Route(dropped=WITH_KEY)
     assert net.says(QGC, A, to=(9, 9)) == Route(dropped=UNHEARD)
