@@ -4,9 +4,8 @@ import math
 from collections.abc import Callable, Collection
 from typing import NamedTuple, Protocol
 
-from aircraft.config import AircraftConfig
 from aircraft.operator import CommandName
-from aircraft.state import Arrived, Ned, Result, VehicleEvent
+from aircraft.state import AircraftConfig, Arrived, Ned, Result, VehicleEvent
 from link.bus.keys import SEARCHERS, Key
 from link.bus.mavlink import Message
 from link.bus.session import Arrival

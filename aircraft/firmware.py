@@ -8,7 +8,7 @@ from link.modes import MEANINGS, Mode, mode_name
 
 COMING_DOWN = (Mode.RETURN, Mode.LAND)
 # Flag of EKF_STATUS_REPORT (193) and ESTIMATOR_STATUS (230): the absolute horizontal position is good.
-ESTIMATES = mavlink.ESTIMATOR_POS_HORIZ_ABS
+POSITION_GOOD = mavlink.ESTIMATOR_POS_HORIZ_ABS
 
 
 class Firmware(NamedTuple):

@@ -37,7 +37,6 @@ class Driver(Protocol):
         """Return the first value that the sensor gives from now on, in its unit; NaN if it gives none
         within timeout_s.
         """
-        ...
 
     def close(self) -> None:
         """End; called once, perhaps while `read` waits."""

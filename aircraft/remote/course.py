@@ -4,11 +4,10 @@ import math
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.config import AircraftConfig
 from aircraft.operator import AUTOPILOT
 from aircraft.remote.arrival import RADIUS_M, Approach, deadline_s
 from aircraft.remote.procedures import Procedures
-from aircraft.state import Arrived, Ned, Result, as_float32, denied
+from aircraft.state import AircraftConfig, Arrived, Ned, Result, as_float32, denied
 from link.bus.mavlink import POSITION_ONLY
 
 # Setpoints a second of the vehicle's time to PX4, from before OFFBOARD on. It wants more than 2.

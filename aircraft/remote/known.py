@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.firmware import ARDUCOPTER, ESTIMATES, FIRMWARES, Firmware, stands
+from aircraft.firmware import ARDUCOPTER, FIRMWARES, POSITION_GOOD, Firmware, stands
 from aircraft.remote.glitches import Fix, Glitches
 from aircraft.state import ZERO, Ned, as_float32
 from link.bus.mavlink import Message, Texts
@@ -57,7 +57,6 @@ class Known:
     flags: int = 0  # ESTIMATOR_STATUS_FLAGS, or EKF_STATUS_FLAGS, whose first bits mean the same
     origin: Global | None = None
     home: Global | None = None
-    home_s: float = -math.inf
     target: Ned | None = None  # the position that it says it flies to
     landed: int = mavlink.MAV_LANDED_STATE_UNDEFINED
     healthy: bool = True  # False while SYS_STATUS says that a check before arming fails
@@ -104,10 +103,7 @@ class Known:
             case "GPS_GLOBAL_ORIGIN":
                 self.origin = message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
             case "HOME_POSITION":
-                self.home, self.home_s = (
-                    (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0),
-                    now_s,
-                )
+                self.home = message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
             case "EKF_STATUS_REPORT" | "ESTIMATOR_STATUS":
                 self.flags = message.flags
                 self.glitches.judge(message, self.firmware.is_ardupilot, now_s)
@@ -192,7 +188,7 @@ class Known:
         """True if the position is fresh and the EKF stands by it: after a loss of GPS positions keep
         coming, but the flag goes.
         """
-        return now_s - self.position_s <= self.stale_s and bool(self.flags & ESTIMATES)
+        return now_s - self.position_s <= self.stale_s and bool(self.flags & POSITION_GOOD)
 
     def trusts_place(self, now_s: float) -> bool:
         """True if the position is known and nothing speaks against it: a reading may be taken."""

@@ -8,11 +8,10 @@ from collections.abc import Collection
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.config import AircraftConfig
 from aircraft.remote.commander import Steps
 from aircraft.remote.procedures import ENDED, Procedures
 from aircraft.remote.safety import ASKED, Check, Verdict, checks
-from aircraft.state import LOW_BATTERY, VehicleFailed
+from aircraft.state import LOW_BATTERY, AircraftConfig, VehicleFailed
 
 READY_S = 3.0  # the battery, and whether it would arm, are waited for this long once its place is known
 REFUSED_S = 10.0  # a refusal to arm comes with warnings, which are told for this long

@@ -238,11 +238,11 @@ class Procedures:
 
         PX4 takes one above sea, and NaN for what it shall not change.
         """
-        known, armed_s = self.known, self.now_s
-        self.commander.send(mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HOME_POSITION))
-        yield from self.commander.until(
-            lambda: known.home_s > armed_s, self.commander.patient(HOME_S)
-        )  # arming sets home anew
+        known, armed_s, home = self.known, self.now_s, mavlink.MAVLINK_MSG_ID_HOME_POSITION
+        self.commander.send(mavlink.MAV_CMD_REQUEST_MESSAGE, float(home))
+        yield from self.commander.until(  # arming sets home anew
+            lambda: known.came_s.get(home, -math.inf) > armed_s, self.commander.patient(HOME_S)
+        )
         home_m = known.to_home()[2]
         assert known.home
         unset, above = (

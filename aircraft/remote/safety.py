@@ -12,7 +12,7 @@ from aircraft.firmware import Firmware
 
 # The parameters by which a multirotor's EKF estimates the wind in flight, from its drag; it does if any of
 # them is set.
-ESTIMATES = {
+DRAG_PARAMETERS = {
     "ArduCopter": ("EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y", "EK3_DRAG_MCOEF"),
     "PX4": ("EKF2_DRAG_CTRL",),
 }
@@ -29,7 +29,7 @@ ASKED = {
         "FENCE_TYPE",
         "FENCE_RADIUS",
         "FENCE_ALT_MAX",
-        *ESTIMATES["ArduCopter"],
+        *DRAG_PARAMETERS["ArduCopter"],
     ),
     "PX4": (
         "COM_OF_LOSS_T",
@@ -40,7 +40,7 @@ ASKED = {
         "GF_ACTION",
         "GF_MAX_HOR_DIST",
         "GF_MAX_VER_DIST",
-        *ESTIMATES["PX4"],
+        *DRAG_PARAMETERS["PX4"],
     ),
 }
 # What COM_OBL_RC_ACT chooses. A mode that a pilot flies becomes RETURN without one.

@@ -1,19 +1,74 @@
 """The gas sensor of a real vehicle: its payload, which is asked over the bus."""
 
-from collections.abc import Collection
-
-from pymavlink.dialects.v20 import common as mavlink
+import math
+import time
+from collections.abc import Callable, Collection
 
 from aircraft.aircraft import GasSensor, Measured
 from aircraft.operator import SEARCH
-from aircraft.payload.asking import Asking
+from aircraft.payload.messages import Sample, Wind, pack_question, unpack_answer
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.remote.winds import Winds
-from aircraft.search.speaker import Speaker
 from aircraft.state import Arrived, Ned
-from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT
+from link.bus.backoff import Backoff
+from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.mavlink import Codec
 from link.bus.session import Bus
+
+
+class Asking:
+    """Asks the payload for a value.
+
+    Question or answer may be lost, doubled or late; the payload may start again.
+    """
+
+    def __init__(
+        self, send: Callable[[bytes], None], codec: Codec, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Take what publishes on `payload/in`, the vehicle's codec, and the clock of real time, s."""
+        self._send = send
+        self.codec = codec  # packs the questions
+        self._clock = clock
+        self._open: tuple[int, bytes] | None = None  # time_boot_ms of the question, and its frames
+        self._repeating = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a question is open."""
+        return self._open is not None
+
+    def ask(self, time_boot_ms: int, number: int, position: Ned, wind: Wind | None) -> None:
+        """Ask for reading `number` at a position (north, east, down) m.
+
+        It replaces an open question, whose answer no longer counts.
+
+        wind: (u cos φ, u sin φ) m/s, points to where it comes from, as the autopilot reports it; None if
+        it reports none.
+        """
+        frames = pack_question(self.codec, time_boot_ms, number, position, wind)
+        self._open = time_boot_ms, frames
+        self._repeating.tried(self._clock())
+        self._send(frames)
+
+    def again(self) -> None:
+        """Ask again if it is time to."""
+        if self._open and self._repeating.due(self._clock()):
+            self._send(self._open[1])
+
+    def next_s(self) -> float:
+        """Return when `again` is to be called, by the clock; infinity if no question is open."""
+        return self._repeating.due_s if self._open else math.inf
+
+    def receive(self, payload: bytes) -> Sample | None:
+        """Return the answer to the open question, which is then closed; None for any other.
+
+        Raises BadFrame as `unpack_answer` does.
+        """
+        sample = unpack_answer(payload)
+        if self._open is None or sample.time_boot_ms != self._open[0]:
+            return None
+        self._open = None
+        return sample
 
 
 class AskedSensor(GasSensor):
@@ -22,8 +77,8 @@ class AskedSensor(GasSensor):
     services = GasSensor.services | {"payload"}
     keys = (PAYLOAD_OUT,)
 
-    def __init__(self, vehicle: RemoteVehicle, bus: Bus, winds: Winds, say: Speaker) -> None:
-        self._vehicle, self._winds, self._say = vehicle, winds, say
+    def __init__(self, vehicle: RemoteVehicle, bus: Bus, winds: Winds) -> None:
+        self._vehicle, self._winds = vehicle, winds
         self._asking = Asking(lambda question: bus.publish(PAYLOAD_IN, question), Codec(0, SEARCH))
         self._arrived: Arrived | None = None
 
@@ -58,9 +113,6 @@ class AskedSensor(GasSensor):
             vehicle.course.again()
         elif arrived and wanted:
             measured = Measured(arrived, sample.gas, winds.of(sample.wind, vehicle.wind))
-        for text in winds.news:
-            self._say(mavlink.MAV_SEVERITY_WARNING, text)
-        winds.news.clear()
         return measured
 
     def go_on(self) -> None:

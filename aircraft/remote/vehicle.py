@@ -4,7 +4,6 @@ import math
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.config import AircraftConfig
 from aircraft.firmware import COMING_DOWN
 from aircraft.remote.arrival import SPEED_MPS
 from aircraft.remote.commander import Commander
@@ -14,6 +13,7 @@ from aircraft.remote.procedures import Procedures
 from aircraft.remote.watch import Watch
 from aircraft.state import (
     ACCEPTED,
+    AircraftConfig,
     Arrived,
     Ned,
     Result,

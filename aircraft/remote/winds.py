@@ -3,12 +3,13 @@ the autopilot, never drawn.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum
 
-from aircraft.remote.safety import ESTIMATES, Check, Verdict
+from pymavlink.dialects.v20 import common as mavlink
 
-Wind = tuple[float, float]  # (u cos φ, u sin φ) m/s: points to where the wind comes from
+from aircraft.payload.messages import Wind
+from aircraft.remote.safety import DRAG_PARAMETERS, Check, Verdict
 
 
 class WindSource(Enum):
@@ -30,7 +31,7 @@ def will_estimate(parameters: Mapping[str, float], firmware: str) -> bool:
     """Return whether an autopilot with these parameters estimates the wind once it flies: on the ground it
     never does.
     """
-    return any(parameters.get(name, 0.0) > 0.0 for name in ESTIMATES[firmware])
+    return any(parameters.get(name, 0.0) > 0.0 for name in DRAG_PARAMETERS[firmware])
 
 
 class Winds:
@@ -39,14 +40,13 @@ class Winds:
     A source that goes quiet is replaced by another one, which is told, or by none: never by a drawn wind.
     """
 
-    def __init__(self, given: Wind | None, scenario: Wind) -> None:
+    def __init__(self, given: Wind | None, scenario: Wind, say: Callable[[int, str], None]) -> None:
         """given: the wind of all readings, whatever payload and autopilot say. scenario: what only a
         simulated payload knows.
         """
         # Of the last reading, before the first that of the flight; None until it is decided.
         self.source: WindSource | None = None
-        self.news: list[str] = []  # what people are to be told; whoever tells them takes it away
-        self._given, self._scenario = given, scenario
+        self._given, self._scenario, self._say = given, scenario, say
 
     def asked(self, estimated: Wind | None) -> Wind | None:
         """Return the wind that the payload is told, with the autopilot's estimate."""
@@ -66,7 +66,7 @@ class Winds:
                 "wind",
                 Verdict.FORBIDS,
                 f"no wind for the readings: neither the payload nor {firmware} tells one; set "
-                f"{', '.join(ESTIMATES[firmware])}, "
+                f"{', '.join(DRAG_PARAMETERS[firmware])}, "
                 "use a payload that measures it, or give it with --wind SPEED,FROM",
             )
         self.source = source
@@ -80,8 +80,9 @@ class Winds:
         if source is not self.source:
             self.source = source
             quiet = "neither payload nor autopilot tells one; no readings until one does"
-            self.news.append(
-                f"Wind of the readings: {f'now {source.value}, {in_words(wind)}' if wind else quiet}"
+            self._say(
+                mavlink.MAV_SEVERITY_WARNING,
+                f"Wind of the readings: {f'now {source.value}, {in_words(wind)}' if wind else quiet}",
             )
         return wind
 

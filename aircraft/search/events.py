@@ -8,8 +8,7 @@ from msgspec import Meta
 
 from plume.parameters import LIMITS, MOST
 
-LOW_U, HIGH_U = LIMITS["u"]
-WindSpeed = Annotated[float, Meta(ge=LOW_U, le=HIGH_U)]
+WindSpeed = Annotated[float, Meta(ge=LIMITS["u"][0], le=LIMITS["u"][1])]
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 StepNumber = Annotated[
     int, Meta(ge=0, description="a whole number from 0: number of the reading, 0 at the start")

@@ -57,7 +57,7 @@ class Sampling:
         """Measure where the vehicle came to rest, if it is to be measured there."""
         if not self.is_wanted:
             return
-        self._timeline.before(self._number)
+        self._timeline.reach(self._number, by_operator=False)
         boot_ms = self._vehicle.now_s * 1000 if arrived.boot_ms is None else arrived.boot_ms
         self._time_boot_ms = self._search.answers.time_of(boot_ms)
         if measured := self._sensor.measure(arrived, self._time_boot_ms, self._number):
@@ -94,7 +94,7 @@ class Sampling:
         if self._bus:
             self._bus.publish_health()
         self._number += 1
-        self._timeline.after(self._number - 1)
+        self._timeline.reach(self._number - 1, by_operator=True)
 
     def _try_again(self, arrived: Arrived) -> None:
         self._timeline.at(self._vehicle.now_s + TRY_AGAIN_S, partial(self._again, arrived))

@@ -14,9 +14,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.aircraft import Aircraft
 from aircraft.operator import BY_LAUNCHER, WANTED, CommandName
-from aircraft.search.answers import Answers
 from aircraft.state import ACCEPTED, Ned, Result, denied, not_now
-from link.bus.mavlink import Message
+from link.bus.mavlink import WRAP_MS, Message, elapsed_ms
 from link.bus.messages import Stop
 from link.modes import Mode
 
@@ -27,6 +26,42 @@ LOCAL_NED, NO_POSITION = mavlink.MAV_FRAME_LOCAL_NED, 0b111
 AFTER_STOP: dict[AfterStop, Mode] = {"return": Mode.RETURN, "land": Mode.LAND, "hold": Mode.HOLD}
 STANDBY, TAKING_OFF, SEARCHING, PAUSED = "standby", "taking off", "searching", "paused"
 RETURNING, HOLDING, LANDED = "returning", "holding", "landed"
+
+
+class Answers:
+    """The readings of one search, by their MAVLink time, and which waypoint answers them."""
+
+    def __init__(self) -> None:
+        self._readings: set[int] = set()
+        self._last_ms = -1
+        self.newest: int | None = None  # the time of the newest reading
+        self.awaited = False  # True while the newest reading is unanswered
+
+    def time_of(self, now_ms: float) -> int:
+        """Return the time_boot_ms of a reading that is about to be taken, later than that of any before."""
+        self._last_ms = max(round(now_ms), self._last_ms + 1)
+        return self._last_ms % WRAP_MS
+
+    def sampled(self, time_boot_ms: int) -> None:
+        """Note that a reading was taken. Raises ValueError unless times increase."""
+        if self.newest is not None and elapsed_ms(self.newest, time_boot_ms) <= 0:
+            raise ValueError(
+                f"reading at {time_boot_ms} ms after one at {self.newest} ms: reading times must increase"
+            )
+        self._readings.add(time_boot_ms)
+        self.newest, self.awaited = time_boot_ms, True
+
+    def refusal(self, time_boot_ms: int) -> Result | None:
+        """Return why a waypoint with this time is not the awaited answer, if so.
+
+        One that comes late or twice is only ignored.
+        """
+        if time_boot_ms not in self._readings:
+            return denied(f"Waypoint refused: no reading was taken at {time_boot_ms} ms", "no reading")
+        if time_boot_ms != self.newest or not self.awaited:
+            kind = "duplicate" if time_boot_ms == self.newest else "late"
+            return not_now(f"Waypoint ignored: {kind} answer to the reading at {time_boot_ms} ms")
+        return None
 
 
 class Search:

@@ -42,15 +42,8 @@ class Timeline:
         if self._timed and self._timed[0][0] <= now_s:
             heapq.heappop(self._timed)[2]()
 
-    def before(self, step: int) -> None:
-        """Perform the events of a step that precede its reading, once."""
-        self._happen(step, by_operator=False)
-
-    def after(self, step: int) -> None:
-        """Perform the events of a step that follow its reading, once."""
-        self._happen(step, by_operator=True)
-
-    def _happen(self, step: int, *, by_operator: bool) -> None:
+    def reach(self, step: int, *, by_operator: bool) -> None:
+        """Perform the events of a step, once: the operator's follow its reading, all others precede it."""
         due = [e for e in self._stepped if e.step == step and isinstance(e, BY_OPERATOR) is by_operator]
         for event in due:
             self._stepped.remove(event)

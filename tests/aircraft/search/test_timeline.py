@@ -38,7 +38,7 @@ def test_events_of_a_step_come_once_those_of_the_operator_behind_its_reading() -
     assert timeline.next_s() is None
     reading = "reading"
     for step in (3, 4, 4, 5):
-        timeline.before(step)
+        timeline.reach(step, by_operator=False)
         came.append(reading)
-        timeline.after(step)
+        timeline.reach(step, by_operator=True)
     assert came == [reading, stuck, spike, reading, hold, reading, reading, back, land]

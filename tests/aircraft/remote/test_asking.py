@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from aircraft.payload.asking import Asking
 from aircraft.payload.messages import Sample, pack_answer, unpack_question
+from aircraft.remote.sensing import Asking
 from link.bus.mavlink import BadFrame, Codec
 
 PLACE = (4.0, 3.0, -5.0)
