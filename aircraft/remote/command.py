@@ -12,10 +12,9 @@ from aircraft.remote.sensing import AskedSensor
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.remote.winds import Winds
 from aircraft.search.command import Orders, fly, given_by
-from aircraft.search.handling import Handling
 from aircraft.search.options import parse_wind
 from aircraft.search.search import Search
-from aircraft.search.uav import Equipment, Uav
+from aircraft.search.uav import Equipment, Handling, Uav
 from aircraft.state import AircraftConfig
 from link.interrupts import LAUNCHER
 

@@ -110,11 +110,8 @@ class Known:
             case "SYS_STATUS":
                 left, check = message.battery_remaining, mavlink.MAV_SYS_STATUS_PREARM_CHECK
                 self.battery = left / 100.0 if 0 <= left <= 100 else math.nan
-                checks, passes = (
-                    message.onboard_control_sensors_present,
-                    message.onboard_control_sensors_health,
-                )
-                self.healthy = not checks & check & ~passes
+                checked = message.onboard_control_sensors_present & check
+                self.healthy = not checked & ~message.onboard_control_sensors_health
             case "EXTENDED_SYS_STATE":
                 self.landed = message.landed_state
             case "WIND_COV":

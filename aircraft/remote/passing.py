@@ -17,8 +17,8 @@ from aircraft.bridge.routing import SETUP_SIGNING
 from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, companion_heartbeat, named, word_of
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
-from aircraft.search.handling import Handling
 from aircraft.search.search import Search
+from aircraft.search.uav import Handling
 from aircraft.state import UNSUPPORTED, Result, denied
 from aircraft.words import Words
 from link.bus.frames import Frame, FrameStream, fields_of

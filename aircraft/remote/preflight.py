@@ -36,7 +36,7 @@ class Preflight:
         self._flight, self._known, self._config = flight, flight.known, config
         self._wait_s, self._launched = wait_s, launched
         self._since_s = 0.0
-        self._steps: Steps[None] | None = None
+        self._steps = self._read()
         self._wind: Check | None = None
         self._known_all = self._told = False
 
@@ -59,7 +59,6 @@ class Preflight:
     def look(self) -> None:
         """Go on reading what the list needs."""
         if self._flight.commander.system and not self._known_all:
-            self._steps = self._steps or self._read()
             self._known_all = next(self._steps, ENDED) is ENDED
 
     def take_wind(self, check: Check) -> None:
@@ -120,7 +119,6 @@ class Preflight:
     # ---- the list ----
 
     def _tell(self) -> None:
-        """Tell the list, once."""
         lines, self._told = [] if self._told else self._checks(), True
         for line in lines:
             ok = line.verdict is Verdict.OK

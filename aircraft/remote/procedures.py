@@ -4,15 +4,15 @@ One procedure runs at a time, resumed at each poll.
 """
 
 import math
+from collections import deque
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.firmware import COMING_DOWN
 from aircraft.operator import NO_ANSWER
-from aircraft.remote.arrival import Targets
 from aircraft.remote.commander import Commander, Steps
 from aircraft.remote.known import Known
-from aircraft.state import Result, Said, TakenOver
+from aircraft.state import Ned, Result, Said, TakenOver
 from link.modes import Mode
 
 ARMING_S, ARM_AGAIN_S = 60.0, 3.0  # a refused arming is tried again every ARM_AGAIN_S, for at most ARMING_S
@@ -26,6 +26,49 @@ AGAIN_S = 1.0
 # A change this soon after a client has asked for one is the client's: a HEARTBEAT comes once a second.
 ASKED_S = 3.0
 ENDED = object()
+SAME_M = 0.1  # targets this near to each other are the same
+KEPT = 4  # this many of our latest targets may still be read back: a radio link is slow
+
+
+class Targets:
+    """Whose target an autopilot flies to, as far as it reads back.
+
+    Positions NED, m from the EKF's origin; None is no position.
+
+    What it reads back is foreign if it is neither one of ours nor what it was before: a target of ours
+    that the autopilot does not take leaves the one before, and a take-off reads back whatever was there
+    before it.
+    """
+
+    def __init__(self) -> None:
+        self._ours: deque[Ned] = deque(maxlen=KEPT)
+        self._read: Ned | None = None
+        self._fresh = True
+
+    def send(self, target: Ned) -> None:
+        """Note that this target of ours is sent."""
+        if not self._ours or self._ours[-1] != target:
+            self._ours.append(target)
+
+    def begin(self) -> None:
+        """Take whatever is read back next for what was there before: the mode has changed, or the vehicle
+        stands.
+        """
+        self._fresh = True
+
+    def takes(self, target: Ned | None) -> bool:
+        """Take what the autopilot reads back; returns False if it is foreign."""
+        before, fresh = self._read, self._fresh
+        self._read, self._fresh = target, False
+        return fresh or _same(target, before) or any(_same(target, one) for one in self._ours)
+
+    def has(self, target: Ned) -> bool:
+        """Whether the autopilot has read back this target last."""
+        return not self._fresh and _same(self._read, target)
+
+
+def _same(one: Ned | None, other: Ned | None) -> bool:
+    return one is other if one is None or other is None else math.dist(one, other) <= SAME_M
 
 
 class Procedures:
@@ -129,7 +172,6 @@ class Procedures:
     # ---- who leads ----
 
     def _watch_mode(self) -> None:
-        """See who has changed the mode."""
         known = self.known
         mode, before, self._mode = known.custom_mode, self._mode, known.custom_mode
         landed, self._was_armed = self._was_armed and not known.armed, known.armed

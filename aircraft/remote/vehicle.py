@@ -5,9 +5,8 @@ import math
 from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.firmware import COMING_DOWN
-from aircraft.remote.arrival import SPEED_MPS
 from aircraft.remote.commander import Commander
-from aircraft.remote.course import Course
+from aircraft.remote.course import SPEED_MPS, Course
 from aircraft.remote.preflight import WAITING, Preflight
 from aircraft.remote.procedures import Procedures
 from aircraft.remote.watch import Watch
@@ -121,18 +120,15 @@ class RemoteVehicle:
 
     @property
     def _flies_course(self) -> bool:
-        flies = self.mode is Mode.OFFBOARD and self.flight.doing is None and self._known.flying
-        return flies and self.course.under_way
+        follows = self.mode is Mode.OFFBOARD and self.flight.doing is None
+        return follows and self._known.flying and self.course.approach is not None
 
     @property
     def moving(self) -> bool:
         """True while it flies to a setpoint, or is armed and not at rest."""
         return self.armed and (self._flies_course or math.hypot(*self._known.velocity) > SPEED_MPS)
 
-    @property
-    def busy(self) -> bool:
-        """True while it moves: there is nothing else that it would do by itself."""
-        return self.moving
+    busy = moving  # there is nothing else that it would do by itself
 
     @property
     def free(self) -> bool:
@@ -274,5 +270,4 @@ class RemoteVehicle:
         """Whether someone else is in charge of it: a pilot, or the autopilot, which returns or lands by
         itself.
         """
-        in_charge = self._known.flying and self.flight.in_charge
-        return not in_charge or self._known.reported in COMING_DOWN
+        return not (self._known.flying and self.flight.in_charge) or self._known.reported in COMING_DOWN

@@ -5,9 +5,9 @@ import time
 from functools import partial
 
 from aircraft.aircraft import Clients, GasSensor, Measured
+from aircraft.search.events import Timeline
 from aircraft.search.faults import FaultyRadio, FaultySensor
 from aircraft.search.search import Search
-from aircraft.search.timeline import Timeline
 from aircraft.state import Arrived
 from link.bus.backoff import Backoff
 from link.bus.keys import READING, RESEND_FIRST_S, RESEND_LAST_S
@@ -121,5 +121,8 @@ class Sampling:
 
     def next_s(self) -> float:
         """Return when `go_on` has something to send, by time.monotonic()."""
-        resend_s = self._resending.due_s if self.awaits_answer else math.inf
-        return min(self.radio.next_s(), self._sensor.next_s(), resend_s)
+        return min(
+            self.radio.next_s(),
+            self._sensor.next_s(),
+            self._resending.due_s if self.awaits_answer else math.inf,
+        )

@@ -15,9 +15,8 @@ from aircraft.operator import OPERATOR, CommandName, named, order
 from aircraft.payload.messages import Question
 from aircraft.payload.simulated import Simulated, turned
 from aircraft.search.command import Orders
-from aircraft.search.handling import Handling
 from aircraft.search.search import Search
-from aircraft.search.uav import Equipment, Uav
+from aircraft.search.uav import Equipment, Handling, Uav
 from aircraft.search.udp import UdpPort, UdpPorts
 from aircraft.state import Arrived, Result, denied, not_now
 from link.bus.keys import MAVLINK_OUT

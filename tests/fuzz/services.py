@@ -21,7 +21,7 @@ from aircraft.operator import OPERATOR, SEARCH, WANTED, change_mode, command, or
 from aircraft.search.clock import Clock
 from aircraft.search.command import Orders
 from aircraft.search.search import RETURNING, SEARCHING
-from aircraft.search.speaker import Speaker
+from aircraft.search.uav import Speaker
 from aircraft.search.uav import Equipment
 from estimator import service as estimator
 from estimator.filter import Config

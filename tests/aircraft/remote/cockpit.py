@@ -13,8 +13,8 @@ from aircraft.remote.passing import RealClients
 from aircraft.remote.safety import Check, Verdict
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
-from aircraft.search.handling import Handling
 from aircraft.search.search import STANDBY, Search
+from aircraft.search.uav import Handling
 from aircraft.state import Arrived, Said, TakenOver, VehicleFailed
 from link.bus.frames import frames_in
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, Key

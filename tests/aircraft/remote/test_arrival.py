@@ -1,6 +1,6 @@
 """Protects when a real vehicle counts as having arrived: near, slow, and for long enough."""
 
-from aircraft.remote.arrival import Approach, deadline_s
+from aircraft.remote.course import Approach, deadline_s
 from aircraft.state import Ned
 
 TARGET: Ned = (3.0, 4.0, -5.0)

@@ -13,8 +13,7 @@ from aircraft.remote.command import real_uav
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.command import Orders
-from aircraft.search.speaker import Speaker
-from aircraft.search.uav import Equipment
+from aircraft.search.uav import Equipment, Speaker
 from aircraft.state import VehicleFailed
 from link.bus.inbox import Inbox
 from link.bus.mavlink import Message

@@ -1,7 +1,6 @@
 """Protects the order of events: each happens once, at its step or time."""
 
-from aircraft.search.events import Hold, Land, OnBoard, Resume, Return, Spike, Stuck, Wind
-from aircraft.search.timeline import Timeline
+from aircraft.search.events import Hold, Land, OnBoard, Resume, Return, Spike, Stuck, Timeline, Wind
 
 
 def test_events_of_a_time_come_in_the_order_of_their_times() -> None:
