@@ -86,8 +86,9 @@ class Aircraft(Protocol):
 
 
 class Clients(Protocol):
-    """The vehicle's clients on the bus and over --out: where their telemetry comes from, and what becomes
-    of what they say.
+    """The vehicle's clients on the bus and over --out.
+
+    They get their telemetry here, and what they say is dealt with here.
 
     A simulated vehicle is its own autopilot. A real one has its own, beside which the search is another
     component.

@@ -1,5 +1,4 @@
-"""MAVLink commands of an operator or a companion computer, and the protocol by which one is sent until it
-is done.
+"""MAVLink commands of an operator or a companion computer, and how one is sent until it is done.
 
 A mission script's operator events, the page and the companion of a real autopilot send them.
 """
@@ -73,8 +72,7 @@ def change_mode(system: int, mode: Mode) -> Message:
 
 
 def order(name: CommandName, system: int, component: int = AUTOPILOT) -> Message:
-    """Return the command of a word to a system: to the simulated autopilot, or to the `SEARCH` that flies
-    a real one.
+    """Return the command of a word to a simulated autopilot, or to the `SEARCH` that flies a real one.
 
     hold: stay where it is. resume: give the vehicle back to its search. return: fly home and land. land:
     land here.
@@ -91,15 +89,15 @@ def word_of(number: int, param1: float) -> CommandName | None:
 
 
 def named(sender: tuple[int, int], whence: str) -> str:
-    """Return who a sender is, in words, from system id and component id and how its message came; anybody
-    can write any ids.
+    """Return in words who a sender is, by system and component id, and how its message came.
+
+    Anybody can write any ids.
     """
     return BY_LAUNCHER if sender == LAUNCHER else f"{sender[0]}/{sender[1]} {whence}"
 
 
 class CommandRun:
-    """One command by MAVLink's protocol: sent again until it is acknowledged, and done when telemetry
-    shows it.
+    """One command by MAVLink's protocol: sent until it is acknowledged, and done when telemetry shows it.
 
     It holds no link and no clock: its owner sends what is due, and tells what comes. An acknowledgement
     may be lost: each copy gets one.

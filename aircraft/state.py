@@ -37,8 +37,9 @@ class AircraftConfig:
     silence_s: float = 30.0
 
     def outside(self, position: Ned) -> tuple[str, str] | None:
-        """Return (kind of reason, reason) if a position (NED, m from home) is outside the area or the
-        altitudes; else None.
+        """Return why a position (NED, m from home) is outside the area or the altitudes: kind and reason.
+
+        None if it is inside.
         """
         north, east, down = position
         place = f"({metres(east)}, {metres(north)}) m"

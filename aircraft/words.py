@@ -51,8 +51,9 @@ class Words:
         return [ack, *self.reason(result)]
 
     def refuse_setpoint(self, result: Result, t_s: float) -> list[Message]:
-        """Count a setpoint that is denied; returns the reason as STATUSTEXT, unless the same kind was told
-        within a second.
+        """Count a setpoint that is denied, and return the reason as STATUSTEXT.
+
+        Nothing if the same kind was told within a second.
         """
         if result.code != mavlink.MAV_RESULT_DENIED:
             return []

@@ -48,8 +48,9 @@ END_S = 1.0
 
 
 class Kept(Reopened):
-    """One link, to the keeper, a process in a session of its own: no signal for the uav or its group
-    reaches it. One that dies is replaced.
+    """One link, to the keeper, which is replaced if it dies.
+
+    It is a process in a session of its own: no signal for the uav or its group reaches it.
     """
 
     there = "kept"

@@ -64,8 +64,9 @@ class Keeper:
         say: Callable[[int, str], None],
         hangs: Callable[[], None] = lambda: None,
     ) -> None:
-        """Take how a message goes to the autopilot, how people are told, and what to do with a uav that is
-        silent.
+        """Take how a message goes to the autopilot, and how people are told.
+
+        hangs: what is done about a uav that is silent.
         """
         # The vehicle's system id: that of its companion, the uav. 0 until the uav has found it.
         self.system = 0

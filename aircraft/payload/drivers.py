@@ -34,8 +34,9 @@ class Driver(Protocol):
         """
 
     def read(self, timeout_s: float) -> float:
-        """Return the first value that the sensor gives from now on, in its unit; NaN if it gives none
-        within timeout_s.
+        """Return the first value that the sensor gives from now on, in its unit.
+
+        NaN if it gives none within timeout_s.
         """
 
     def close(self) -> None:

@@ -1,6 +1,4 @@
-"""The conversation with one autopilot: it is found, asked for telemetry, and commanded until it
-acknowledges.
-"""
+"""The conversation with one autopilot: it is found, asked for telemetry, and commanded."""
 
 import itertools
 import math
@@ -126,8 +124,9 @@ class Commander:
         return not reason
 
     def _ask_for_streams(self) -> None:
-        """Ask for the messages that do not come: ArduPilot streams none of them unasked, and forgets them
-        when it starts again.
+        """Ask for the messages that do not come.
+
+        ArduPilot streams none of them unasked, and forgets them when it starts again.
         """
         came_s = self.known.came_s
         for wanted, rate_hz in self.known.firmware.streams.items():

@@ -1,6 +1,4 @@
-"""Whether a vehicle is where it says: jumps of its position, its own doubts about it, and when both are
-over.
-"""
+"""Whether a vehicle is where it says: jumps of its position, its doubts about it, and their end."""
 
 import math
 import re
@@ -48,9 +46,7 @@ class Fix(NamedTuple):
 
 
 def innovation(before: Fix, now: Fix) -> Shift:
-    """Return how far, north and east, a position lies from where the one before it and both velocities
-    lead.
-    """
+    """Return how far north and east a position lies from where the last one and both velocities lead."""
     seconds = elapsed_ms(before.boot_ms, now.boot_ms) / 1000.0
     north, east = (
         now.position[n] - before.position[n] - (before.velocity[n] + now.velocity[n]) / 2.0 * seconds
@@ -91,8 +87,9 @@ class Glitches:
     # ---- what the vehicle says ----
 
     def flies(self, flies: bool) -> None:
-        """Take whether it is in the air: what jumps on the ground moves nothing, and is no glitch of a
-        flight.
+        """Take whether it is in the air.
+
+        What jumps on the ground moves nothing, and is no glitch of a flight.
         """
         if not flies:
             self.shift, self.began_s = (0.0, 0.0), math.inf
@@ -118,8 +115,9 @@ class Glitches:
         return True
 
     def judge(self, message: Message, is_ardupilot: bool, now_s: float) -> None:
-        """Take an EKF_STATUS_REPORT or ESTIMATOR_STATUS: its flag for a glitch, and how little EKF and GPS
-        agree.
+        """Take an EKF_STATUS_REPORT or ESTIMATOR_STATUS.
+
+        It has a flag for a glitch, and tells how little EKF and GPS agree.
         """
         flag, velocity, position = (
             (mavlink.EKF_GPS_GLITCHING, message.velocity_variance, message.pos_horiz_variance)

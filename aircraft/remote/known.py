@@ -182,8 +182,9 @@ class Known:
         return max(STALE_S, self.slowest_s)
 
     def knows_place(self, now_s: float) -> bool:
-        """True if the position is fresh and the EKF stands by it: after a loss of GPS positions keep
-        coming, but the flag goes.
+        """True if the position is fresh and the EKF stands by it.
+
+        After a loss of GPS positions keep coming, but the flag goes.
         """
         return now_s - self.position_s <= self.stale_s and bool(self.flags & POSITION_GOOD)
 

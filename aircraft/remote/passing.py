@@ -110,8 +110,9 @@ class RealClients:
     # ---- what they are told ----
 
     def serve(self) -> None:
-        """Pass on what has come from the autopilot since the last call, and from the clients of --out;
-        send a HEARTBEAT if it is due.
+        """Pass on what has come from the autopilot and the clients of --out since the last call.
+
+        Send a HEARTBEAT if it is due.
         """
         if frames := self._vehicle.frames():
             self._pass_on(frames)
@@ -160,8 +161,9 @@ class RealClients:
             self._hear(frame, "through a bridge" if arrival.attachment == BRIDGED else "on the bus")
 
     def _hear(self, frame: Frame, whence: str) -> None:
-        """Hand a client's frame on to the autopilot, if it is for that; the search's own commands are
-        obeyed here.
+        """Hand a client's frame on to the autopilot, if it is for that.
+
+        The search's own commands are obeyed here.
         """
         system, tally = self.system, self._handling.log.tally
         target_system, target_component = frame.target

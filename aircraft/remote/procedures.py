@@ -51,8 +51,9 @@ class Targets:
             self._ours.append(target)
 
     def begin(self) -> None:
-        """Take whatever is read back next for what was there before: the mode has changed, or the vehicle
-        stands.
+        """Take whatever is read back next for what was there before.
+
+        The mode has changed, or the vehicle stands.
         """
         self._fresh = True
 
@@ -191,10 +192,10 @@ class Procedures:
             self.taken_over = False
 
     def _watch_target(self) -> None:
-        """See whether the autopilot flies to someone else's target: in GUIDED a ground station's go-to
-        changes no mode.
+        """See whether the autopilot flies to someone else's target.
 
-        PX4 changes its mode for a go-to. What streams setpoints beside us is not told apart there.
+        In GUIDED a ground station's go-to changes no mode. PX4 changes its mode for one; what streams
+        setpoints beside us is not told apart there.
         """
         known = self.known
         came_s = known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)
@@ -216,8 +217,9 @@ class Procedures:
         self.events.append(TakenOver(self.now_s, how, self._client if asked else ""))
 
     def asked_by(self, client: str) -> None:
-        """Note that a client's command goes to the autopilot through us: what changes soon after it, the
-        client has changed.
+        """Note that a client's command goes to the autopilot through us.
+
+        What changes soon after it, the client has changed.
         """
         self._client, self._client_s = client, self.now_s
 

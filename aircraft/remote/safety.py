@@ -94,8 +94,9 @@ class Check(NamedTuple):
 def checks(
     firmware: Firmware, parameters: Mapping[str, float], system: int, side_m: float, height_m: float
 ) -> list[Check]:
-    """Return what the parameters say of a flight by a companion of a system, over an area of this side, at
-    this height.
+    """Return what the parameters say of a flight over an area of this side, at this height.
+
+    system: the companion's.
     """
     lost = (
         [_if_killed_arducopter(parameters, system)] if firmware.is_ardupilot else _if_killed_px4(parameters)

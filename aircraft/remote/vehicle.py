@@ -267,7 +267,8 @@ class RemoteVehicle:
 
     @property
     def left(self) -> bool:
-        """Whether someone else is in charge of it: a pilot, or the autopilot, which returns or lands by
-        itself.
+        """Whether someone else is in charge of it.
+
+        This is a pilot, or the autopilot, which returns or lands by itself.
         """
         return not (self._known.flying and self.flight.in_charge) or self._known.reported in COMING_DOWN

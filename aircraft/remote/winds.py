@@ -1,5 +1,6 @@
-"""Where the wind of a real vehicle's readings comes from: given, measured by the payload or estimated by
-the autopilot, never drawn.
+"""Where the wind of a real vehicle's readings comes from.
+
+It is given, measured by the payload or estimated by the autopilot, never drawn.
 """
 
 import math
@@ -28,8 +29,9 @@ def in_words(wind: Wind) -> str:
 
 
 def will_estimate(parameters: Mapping[str, float], firmware: str) -> bool:
-    """Return whether an autopilot with these parameters estimates the wind once it flies: on the ground it
-    never does.
+    """Return whether an autopilot with these parameters estimates the wind in flight.
+
+    On the ground it never does.
     """
     return any(parameters.get(name, 0.0) > 0.0 for name in DRAG_PARAMETERS[firmware])
 
@@ -41,8 +43,9 @@ class Winds:
     """
 
     def __init__(self, given: Wind | None, scenario: Wind, say: Callable[[int, str], None]) -> None:
-        """given: the wind of all readings, whatever payload and autopilot say. scenario: what only a
-        simulated payload knows.
+        """Take the wind of all readings, if one is given, whatever payload and autopilot say.
+
+        scenario: the wind that only a simulated payload knows.
         """
         # Of the last reading, before the first that of the flight; None until it is decided.
         self.source: WindSource | None = None
@@ -73,8 +76,9 @@ class Winds:
         return Check("wind", Verdict.OK, f"{source.value}, {in_words(wind) if wind else 'once it flies'}")
 
     def of(self, measured: Wind | None, estimated: Wind | None) -> Wind | None:
-        """Return the wind of a reading: what the payload measured with it, else the autopilot's; None if
-        there is none now.
+        """Return the wind of a reading: what the payload measured with it, else the autopilot's.
+
+        None if there is none now.
         """
         source, wind = self._of(measured, estimated)
         if source is not self.source:

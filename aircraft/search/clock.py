@@ -29,8 +29,9 @@ class Clock:
         self._idle_since = time.monotonic()
 
     def jump(self, moving: bool, next_event_s: float | None) -> None:
-        """At speed-up 0, jump to the next event: at once if the vehicle moves, else after an equal real
-        time without a setpoint.
+        """At speed-up 0, jump to the next event.
+
+        At once if the vehicle moves, else after an equal real time without a setpoint.
         """
         if next_event_s is None:
             return

@@ -43,8 +43,9 @@ class Sampling:
 
     @property
     def is_wanted(self) -> bool:
-        """Whether an arrival is measured: at the search's waypoints, and everywhere by a plain vehicle,
-        which has no bus.
+        """Whether an arrival is measured.
+
+        A search measures at its waypoints, a plain vehicle, which has no bus, everywhere.
         """
         return self._search.measures or self._bus is None
 

@@ -65,8 +65,9 @@ class Answers:
 
 
 class Search:
-    """One search by one vehicle: arm, take off, fly to the start, follow the agent's waypoints, come home;
-    or let a pilot lead.
+    """One search by one vehicle, or a pilot's flight meanwhile.
+
+    It arms, takes off, flies to the start, follows the agent's waypoints, and comes home.
     """
 
     def __init__(
@@ -106,30 +107,34 @@ class Search:
 
     @property
     def waits_for(self) -> str:
-        """Why it has not begun, or how a pilot has ended it, in words; empty if it goes on, or if only the
-        services are missing.
+        """Why it has not begun, or how a pilot has ended it, in words.
+
+        Empty if it goes on, or if only the services are missing.
         """
         return self._said if not self._begun or self.state == LANDED else ""
 
     @property
     def measures(self) -> bool:
-        """True if the vehicle's arrival is one at a waypoint of the search: only there readings are taken,
-        one at each.
+        """True if the vehicle's arrival is one at a waypoint of the search.
+
+        Only there readings are taken, one at each.
         """
         return self.leads and self.state == SEARCHING and not self.answers.awaited
 
     @property
     def wants_answers(self) -> bool:
-        """True while the search waits for the answer to its newest reading; a paused one keeps the answer
-        for later.
+        """True while the search waits for the answer to its newest reading.
+
+        A paused one keeps the answer for later.
         """
         return self.state in (SEARCHING, PAUSED) and self.answers.awaited and not self.found
 
     # ---- how it goes on ----
 
     def go_on(self, searchers: bool) -> None:
-        """Take the next step of the search where it is due; `searchers` says whether estimator and agent
-        are there.
+        """Take the next step of the search where it is due.
+
+        searchers: whether estimator and agent are there.
         """
         if self.state == LANDED:
             return
@@ -177,8 +182,9 @@ class Search:
         self._say(mavlink.MAV_SEVERITY_WARNING, f"{gives_way}{mode} by {by or 'the autopilot or its pilot'}")
 
     def give_back(self, by: str) -> Result:
-        """Lead a real vehicle again where the search left off, as someone wants it: no change of mode
-        gives it back.
+        """Lead a real vehicle again where the search left off, as someone wants it.
+
+        No change of mode gives it back.
         """
         if self.found or self.vehicle.failure:
             return not_now(f"Resume refused: {self.vehicle.failure or 'the source is found'}")
