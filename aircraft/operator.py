@@ -16,7 +16,7 @@ from link.modes import Mode
 # What an operator wants: the words of the page and of mission scripts
 CommandName = Literal["hold", "resume", "return", "land"]
 # The flight mode that each leads to
-WANTED: dict[CommandName, Mode] = {
+MODES_WANTED: dict[CommandName, Mode] = {
     "hold": Mode.HOLD,
     "resume": Mode.OFFBOARD,
     "return": Mode.RETURN,
@@ -29,12 +29,12 @@ TO_SEARCH: dict[CommandName, tuple[int, ...]] = {
     "return": (mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,),
     "land": (mavlink.MAV_CMD_NAV_LAND,),
 }
-OPERATOR = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)  # system id and component id of a ground station
+OPERATOR_IDS = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)  # system id and component id of a ground station
 # Component ids of a vehicle's autopilot, and of the search that flies a real one
 AUTOPILOT, SEARCH = int(mavlink.MAV_COMP_ID_AUTOPILOT1), ONBOARD_COMPUTER
 # System id and component id of the launcher, which ends a search whose budget is spent, and what people are
 # told of it
-LAUNCHER, BY_LAUNCHER = (OPERATOR[0], mavlink.MAV_COMP_ID_PATHPLANNER), "the launcher"
+LAUNCHER_IDS, BY_LAUNCHER = (OPERATOR_IDS[0], mavlink.MAV_COMP_ID_PATHPLANNER), "the launcher"
 TRIES = 5  # times that a command is sent that nobody acknowledges
 IN_PROGRESS_S = 10.0  # longest time for a command that the autopilot says is in progress
 # Longest time until telemetry shows what an acknowledged command has changed: a HEARTBEAT comes once a second
@@ -78,7 +78,7 @@ def order(name: CommandName, system: int, component: int = AUTOPILOT) -> Message
     land here.
     """
     if component != SEARCH and name in ("hold", "resume"):
-        return change_mode(system, WANTED[name])
+        return change_mode(system, MODES_WANTED[name])
     return command(system, *TO_SEARCH[name], component=component)
 
 
@@ -93,7 +93,7 @@ def named(sender: tuple[int, int], whence: str) -> str:
 
     Anybody can write any ids.
     """
-    return BY_LAUNCHER if sender == LAUNCHER else f"{sender[0]}/{sender[1]} {whence}"
+    return BY_LAUNCHER if sender == LAUNCHER_IDS else f"{sender[0]}/{sender[1]} {whence}"
 
 
 class CommandRun:

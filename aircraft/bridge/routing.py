@@ -16,7 +16,8 @@ ANOTHER_BRIDGE = -1  # where frames come from that another bridge has put on the
 DUPLICATE_S = 0.5  # a frame that came on another link less than this ago came around a loop
 # Most frames that are remembered to find duplicates: those of 0.5 s at 16,000 a second.
 MOST_REMEMBERED = 8192
-HOME_S = 3.0  # a vehicle that is silent for this long on its link may turn up on another: three heartbeats
+# A vehicle that is silent for this long on its link may turn up on another: three heartbeats.
+MOVES_AFTER_S = 3.0
 # Most senders remembered for each link, the latest heard. It is bounded because ids are easily forged.
 MOST_HEARD = 1024
 SETUP_SIGNING = 256
@@ -45,12 +46,12 @@ class Routes:
     """What has been heard on each link.
 
     A system is a vehicle on the link on which its autopilot's HEARTBEAT has come, or if the bus has
-    frames of an autopilot on mavlink/out. Each sender of a
-    vehicle has one link, on which it was heard first. Frames with its ids from other links are dropped:
-    they came around a loop that is slower than DUPLICATE_S, or two vehicles have the same id. Once it is
-    silent for HOME_S, it may move. A vehicle that is itself on the bus is at home there, wherever it was
-    heard first: two bridges would otherwise hand its frames around for ever, each taking the other's side
-    for its home. Ground stations may share an id.
+    frames of an autopilot on mavlink/out. Each sender of a vehicle has one link, on which it was heard
+    first. Frames with its ids from other links are dropped: they came around a loop that is slower than
+    DUPLICATE_S, or two vehicles have the same id. Once it is silent for MOVES_AFTER_S, it may move. A
+    vehicle that is itself on the bus is at home there, wherever it was heard first: two bridges would
+    otherwise hand its frames around for ever, each taking the other's side for its home. Ground stations
+    may share an id.
     """
 
     def __init__(self) -> None:
@@ -87,7 +88,7 @@ class Routes:
         if out and came_from == BUS:
             self._homes[sender] = (BUS, now_s)
         home, heard_s = self._homes.get(sender, (came_from, now_s))
-        away = home != came_from and now_s - heard_s < HOME_S
+        away = home != came_from and now_s - heard_s < MOVES_AFTER_S
         if self._came_elsewhere(frame.data, came_from, now_s, remember=not away):
             return Route(dropped=DUPLICATE)
         if away:

@@ -11,9 +11,9 @@ from aircraft.bridge.pipe import Pipe, Reopened
 
 MOST_BYTES = 256 * 1024  # that wait for a connection, seconds of full telemetry
 CONNECT_S = 5.0  # longest time for a server to answer
-GONE_AFTER_S = 10  # a connection is lost once the other side has acknowledged nothing for this long
+LOST_AFTER_S = 10  # a connection is lost once the other side has acknowledged nothing for this long
 # Linux's names; other systems lack some.
-OPTIONS = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 1000 * GONE_AFTER_S}
+OPTIONS = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 1000 * LOST_AFTER_S}
 
 
 def _prepare(connection: socket.socket) -> None:

@@ -6,7 +6,7 @@ from importlib.metadata import entry_points
 from typing import Protocol
 
 from aircraft.bridge.address import parse_address
-from aircraft.payload.messages import LARGEST, Question, Sample
+from aircraft.payload.messages import LARGEST_FLOAT32, Question, Sample
 from aircraft.payload.options import PLUGINS, SERIAL
 from aircraft.payload.serial_sensor import SerialSensor
 from link import cli
@@ -97,7 +97,7 @@ class Driven:
             return self._without_value(said(error))
         return (
             self._without_value(f"{value} is no value; wanted a finite number, or NaN for none")
-            if abs(value) > LARGEST
+            if abs(value) > LARGEST_FLOAT32
             else value
         )
 

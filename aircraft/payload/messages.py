@@ -12,10 +12,10 @@ from link.bus.mavlink import GAS_NAME, BadFrame, Codec, gas_message, split, wind
 NUMBER_NAME = "sample"
 # The payload's MAVLink component id; its system id is the vehicle's
 PAYLOAD_COMPONENT = mavlink.MAV_COMP_ID_PERIPHERAL
-LARGEST = 3.4028234e38  # largest float32: the wire carries no larger value
+LARGEST_FLOAT32 = 3.4028234e38  # largest float32: the wire carries no larger value
 # Messages of a question or an answer: they share its time, with WIND_COV. Others are ignored.
 TIMED = frozenset({"LOCAL_POSITION_NED", "NAMED_VALUE_INT", "NAMED_VALUE_FLOAT"})
-Wind = tuple[float, float]  # (u cos φ, u sin φ) m/s: points to where the wind comes from
+WindVector = tuple[float, float]  # (u cos φ, u sin φ) m/s: points to where the wind comes from
 
 
 class Question(NamedTuple):
@@ -25,7 +25,7 @@ class Question(NamedTuple):
     time_boot_ms: int  # identifies the question and its answer
     number: int  # number of the reading, 0 at the start
     position: tuple[float, float]  # (x, y) m, x east, y north: where the vehicle reports to be
-    wind: Wind | None  # as the autopilot reports it; None if it reports none
+    wind: WindVector | None  # as the autopilot reports it; None if it reports none
 
 
 class Sample(NamedTuple):
@@ -34,11 +34,15 @@ class Sample(NamedTuple):
     time_boot_ms: int  # that of the question
     gas: float  # in the sensor's unit: g/m³, or a count of hits; NaN: the sensor has no value
     # (u cos φ, u sin φ) m/s, points to where the wind comes from; None if the payload does not know it
-    wind: Wind | None
+    wind: WindVector | None
 
 
 def pack_question(
-    codec: Codec, time_boot_ms: int, number: int, position: tuple[float, float, float], wind: Wind | None
+    codec: Codec,
+    time_boot_ms: int,
+    number: int,
+    position: tuple[float, float, float],
+    wind: WindVector | None,
 ) -> bytes:
     """Return the frames of a question; position is (north, east, down) m."""
     place = mavlink.MAVLink_local_position_ned_message(time_boot_ms, *position, 0.0, 0.0, 0.0)
@@ -76,7 +80,7 @@ def unpack_answer(payload: bytes) -> Sample:
 
 def _said(
     payload: bytes, what: str, names: Mapping[str, str]
-) -> tuple[int, list[dict[str, Any]], Wind | None]:
+) -> tuple[int, list[dict[str, Any]], WindVector | None]:
     """Return who sent a payload, the fields of the messages that it must have, and the wind.
 
     names: those messages by type, and the value that each names.

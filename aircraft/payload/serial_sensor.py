@@ -9,7 +9,7 @@ import time
 from aircraft.bridge.address import Address
 from aircraft.bridge.pipe import Retry
 from aircraft.bridge.serial_line import open_device
-from aircraft.payload.messages import LARGEST
+from aircraft.payload.messages import LARGEST_FLOAT32
 from link.bus.log import Log
 
 NO_NUMBER = "not a number"  # what a payload counts in its health for each line that is none
@@ -50,7 +50,11 @@ class NumberLines:
 
     def _number(self, line: bytes) -> float | None:
         text = line.strip()
-        if len(line) <= LONGEST and NUMBER.fullmatch(text) and not abs(value := float(text)) > LARGEST:
+        if (
+            len(line) <= LONGEST
+            and NUMBER.fullmatch(text)
+            and not abs(value := float(text)) > LARGEST_FLOAT32
+        ):
             return value
         self._log.tally.refuse(NO_NUMBER)
         if not self._told:

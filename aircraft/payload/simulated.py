@@ -4,7 +4,7 @@ import math
 
 import msgspec
 
-from aircraft.payload.messages import Question, Sample, Wind
+from aircraft.payload.messages import Question, Sample, WindVector
 from plume.world import World
 
 
@@ -31,7 +31,7 @@ class Simulated:
         return Sample(question.time_boot_ms, world.gas(question.position, question.number), wind)
 
 
-def blown(world: World, wind: Wind) -> World:
+def blown(world: World, wind: WindVector) -> World:
     """Return the world in another measured wind, m/s, which points to where it comes from."""
     if wind == world.wind:
         return world  # to the last bit: direction and speed of float32 components are not the scenario's

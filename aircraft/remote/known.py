@@ -20,7 +20,8 @@ STALE_S = 1.0  # time after which a position is too old to act on
 NEW_BOOT_MS = 2000  # a clock that goes back by more than this has begun anew
 # What an autopilot's text on a geofence says.
 BREACH = re.compile("breach|geofence|fence violation", re.IGNORECASE)
-OVER = re.compile("clear|recover|deactivated", re.IGNORECASE)  # what a text on a breach that is over says
+# What a text on a breach that is over says.
+BREACH_OVER = re.compile("clear|recover|deactivated", re.IGNORECASE)
 INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8,
     mavlink.MAV_PARAM_TYPE_INT8,
@@ -162,7 +163,7 @@ class Known:
         if text is None:
             return
         self.glitches.hear(text, now_s)
-        if BREACH.search(text) and not OVER.search(text):
+        if BREACH.search(text) and not BREACH_OVER.search(text):
             self.breach_s = self.breached_s = now_s
         if message.severity <= mavlink.MAV_SEVERITY_NOTICE:
             self.warnings.append((now_s, text))

@@ -14,7 +14,15 @@ from aircraft.bridge.bus_link import BRIDGED
 from aircraft.bridge.endpoints import endpoint_of
 from aircraft.bridge.links import Hub
 from aircraft.bridge.routing import SETUP_SIGNING
-from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, companion_heartbeat, named, word_of
+from aircraft.operator import (
+    AUTOPILOT,
+    OPERATOR_IDS,
+    SEARCH,
+    CommandName,
+    companion_heartbeat,
+    named,
+    word_of,
+)
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.search import Search
@@ -28,14 +36,14 @@ from link.bus.session import Arrival, Bus
 from link.signing.signer import Signing
 
 BEAT_S = 1.0  # real time between two HEARTBEATs of the search
-COMMANDS = {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
-SETPOINTS = {
+COMMAND_IDS = {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
+SETPOINT_IDS = {
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
     mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET,
 }
 # Commands of which a change of the flight mode may come.
-CHANGES = {
+MODE_COMMANDS = {
     mavlink.MAV_CMD_DO_SET_MODE,
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
     mavlink.MAV_CMD_NAV_LAND,
@@ -174,10 +182,10 @@ class RealClients:
         elif frame.message_id == SETUP_SIGNING:  # a key from a safe link must not leave by another one
             tally.refuse(WITH_KEY)
         elif target_system and target_component == SEARCH:
-            if frame.message_id in COMMANDS:
+            if frame.message_id in COMMAND_IDS:
                 with contextlib.suppress(mavlink.MAVError):
                     self._obey(mavlink.MAVLink(None).decode(bytearray(frame.data)), whence)
-        elif frame.message_id in SETPOINTS and self._search.leads:
+        elif frame.message_id in SETPOINT_IDS and self._search.leads:
             self.refuse(
                 denied("Setpoint refused: the search leads, HOLD stops it", "not leading"),
                 self._clock.now_s(),
@@ -202,7 +210,9 @@ class RealClients:
     def operate(self, name: CommandName) -> None:
         """Obey a word of the script's operator."""
         self._say(
-            self._words.reason(self._search.obey(name, self._vehicle.now_s, named(OPERATOR, "in the script")))
+            self._words.reason(
+                self._search.obey(name, self._vehicle.now_s, named(OPERATOR_IDS, "in the script"))
+            )
         )
 
     def _say(self, answers: Sequence[Message]) -> None:
@@ -218,6 +228,6 @@ class RealClients:
 
 def _changes(frame: Frame) -> bool:
     """Whether a change of the flight mode may come of a frame."""
-    if frame.message_id not in COMMANDS:
+    if frame.message_id not in COMMAND_IDS:
         return bool(frame.message_id == mavlink.MAVLINK_MSG_ID_SET_MODE)
-    return fields_of(frame)["command"] in CHANGES
+    return fields_of(frame)["command"] in MODE_COMMANDS

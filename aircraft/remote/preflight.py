@@ -17,7 +17,7 @@ READY_S = 3.0  # the battery, and whether it would arm, are waited for this long
 REFUSED_S = 10.0  # a refusal to arm comes with warnings, which are told for this long
 SYS_STATUS = mavlink.MAVLINK_MSG_ID_SYS_STATUS
 UNANSWERED = "the payload has not answered yet whether it measures the wind"
-READING = "its parameters are being read"
+STILL_READING = "its parameters are being read"
 WAITING = "Waiting for the autopilot: "
 
 
@@ -51,7 +51,7 @@ class Preflight:
         if missing := known.missing(flight.now_s):
             return missing
         if not self._known_all:
-            return READING
+            return STILL_READING
         if (battery := self._battery).verdict is Verdict.FORBIDS:
             return f"battery: {battery.text}"
         return self._pilot
@@ -79,7 +79,7 @@ class Preflight:
             return self.missing or ("" if self._wind else UNANSWERED)
         if self._wind:
             self._tell()
-            return READING
+            return STILL_READING
         return UNANSWERED
 
     def _read(self) -> Steps[None]:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection
 
 from aircraft.aircraft import GasSensor, Measured
 from aircraft.operator import SEARCH
-from aircraft.payload.messages import Sample, Wind, pack_question, unpack_answer
+from aircraft.payload.messages import Sample, WindVector, pack_question, unpack_answer
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.remote.winds import Winds
 from aircraft.state import Arrived, Ned
@@ -37,7 +37,7 @@ class Asking:
         """Whether a question is open."""
         return self._open is not None
 
-    def ask(self, time_boot_ms: int, number: int, position: Ned, wind: Wind | None) -> None:
+    def ask(self, time_boot_ms: int, number: int, position: Ned, wind: WindVector | None) -> None:
         """Ask for reading `number` at a position (north, east, down) m.
 
         It replaces an open question, whose answer no longer counts.

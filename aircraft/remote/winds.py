@@ -9,7 +9,7 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.payload.messages import Wind
+from aircraft.payload.messages import WindVector
 from aircraft.remote.safety import DRAG_PARAMETERS, Check, Verdict
 
 
@@ -23,7 +23,7 @@ class WindSource(Enum):
     NONE = "none"
 
 
-def in_words(wind: Wind) -> str:
+def in_words(wind: WindVector) -> str:
     """Return a wind for people."""
     return f"{math.hypot(*wind):.1f} m/s from {math.degrees(math.atan2(*wind)) % 360.0:.0f}°"
 
@@ -42,7 +42,9 @@ class Winds:
     A source that goes quiet is replaced by another one, which is told, or by none: never by a drawn wind.
     """
 
-    def __init__(self, given: Wind | None, scenario: Wind, say: Callable[[int, str], None]) -> None:
+    def __init__(
+        self, given: WindVector | None, scenario: WindVector, say: Callable[[int, str], None]
+    ) -> None:
         """Take the wind of all readings, if one is given, whatever payload and autopilot say.
 
         scenario: the wind that only a simulated payload knows.
@@ -51,12 +53,16 @@ class Winds:
         self.source: WindSource | None = None
         self._given, self._scenario, self._say = given, scenario, say
 
-    def asked(self, estimated: Wind | None) -> Wind | None:
+    def asked(self, estimated: WindVector | None) -> WindVector | None:
         """Return the wind that the payload is told, with the autopilot's estimate."""
         return self._given or estimated
 
     def before(
-        self, measured: Wind | None, estimated: Wind | None, parameters: Mapping[str, float], firmware: str
+        self,
+        measured: WindVector | None,
+        estimated: WindVector | None,
+        parameters: Mapping[str, float],
+        firmware: str,
     ) -> Check:
         """Decide before arming, by what the payload says on the ground; returns a line of the list.
         Without any wind there is no flight.
@@ -75,7 +81,7 @@ class Winds:
         self.source = source
         return Check("wind", Verdict.OK, f"{source.value}, {in_words(wind) if wind else 'once it flies'}")
 
-    def of(self, measured: Wind | None, estimated: Wind | None) -> Wind | None:
+    def of(self, measured: WindVector | None, estimated: WindVector | None) -> WindVector | None:
         """Return the wind of a reading: what the payload measured with it, else the autopilot's.
 
         None if there is none now.
@@ -90,7 +96,9 @@ class Winds:
             )
         return wind
 
-    def _of(self, measured: Wind | None, estimated: Wind | None) -> tuple[WindSource, Wind | None]:
+    def _of(
+        self, measured: WindVector | None, estimated: WindVector | None
+    ) -> tuple[WindSource, WindVector | None]:
         if self._given:
             return WindSource.GIVEN, self._given
         if measured and measured != estimated:  # a simulated payload repeats an estimate

@@ -13,7 +13,7 @@ from typing import Literal
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.aircraft import Aircraft
-from aircraft.operator import BY_LAUNCHER, WANTED, CommandName
+from aircraft.operator import BY_LAUNCHER, MODES_WANTED, CommandName
 from aircraft.state import ACCEPTED, Ned, Result, denied, not_now
 from link.bus.mavlink import WRAP_MS, Message, elapsed_ms
 from link.bus.messages import Stop
@@ -274,7 +274,7 @@ class Search:
             return not_now(f"{word.capitalize()} refused: the search flies nothing")
         if word == "resume":
             return self.give_back(by)
-        result = self.vehicle.set_mode(t_s, WANTED[word])
+        result = self.vehicle.set_mode(t_s, MODES_WANTED[word])
         if result.accepted:
             self.give_way(self.vehicle.mode.name, by)
         return result

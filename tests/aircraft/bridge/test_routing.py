@@ -11,9 +11,9 @@ from aircraft.bridge.routing import (
     DUPLICATE,
     DUPLICATE_S,
     ELSEWHERE,
-    HOME_S,
     MOST_HEARD,
     MOST_REMEMBERED,
+    MOVES_AFTER_S,
     UNHEARD,
     WITH_KEY,
     Route,
@@ -181,9 +181,9 @@ def test_a_copy_that_overtakes_its_frame_does_not_take_its_place() -> None:
 def test_a_vehicle_may_move_to_another_link_when_its_own_is_silent() -> None:
     net = Net(A, B)
     net.says(DRONE, A, autopilot=True)
-    net.now_s = HOME_S - 0.01
+    net.now_s = MOVES_AFTER_S - 0.01
     assert net.says(DRONE, B, autopilot=True) == Route(dropped=ELSEWHERE)
-    net.now_s = HOME_S
+    net.now_s = MOVES_AFTER_S
     assert net.says(DRONE, B, autopilot=True) == Route((BUS, A), vehicle=True)
 
 
