@@ -59,28 +59,6 @@ POSED, WITH_KEY = "in the vehicle's name", "with a key"  # kinds of clients' fra
 LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
 
 
-def leave(vehicle: RemoteVehicle, clock: Clock, tell: Callable[[int, str], None]) -> None:
-    """See to it that a real vehicle in the air has someone in charge when this program ends.
-
-    It takes at most `LEAVE_S`.
-
-    Call it where no signal can cut it short (`link.interrupts.uninterrupted`).
-    """
-    until_s, told = time.monotonic() + LEAVE_S, False
-    while True:
-        with contextlib.suppress(Exception):  # whatever fails, the way home is asked for again
-            if (said := vehicle.leave()) and not told:
-                told = True
-                tell(mavlink.MAV_SEVERITY_WARNING, said)
-        with contextlib.suppress(Exception):
-            vehicle.catch_up(clock.now_s())
-        if vehicle.left or time.monotonic() >= until_s:
-            break
-        time.sleep(LEAVE_POLL_S)
-    if not vehicle.left:
-        tell(mavlink.MAV_SEVERITY_CRITICAL, "The vehicle has not answered: its keeper goes on")
-
-
 class RealClients:
     """The clients of a real vehicle.
 
@@ -221,8 +199,23 @@ class RealClients:
         self.send(*answers)
 
     def end(self, say: Callable[[int, str], None]) -> None:
-        """Leave the vehicle to someone, and close the links."""
-        leave(self._vehicle, self._clock, say)
+        """See to it that a vehicle in the air has someone in charge, for at most `LEAVE_S`; close the links.
+
+        Call it where no signal can cut it short (`link.interrupts.uninterrupted`).
+        """
+        vehicle, until_s, told = self._vehicle, time.monotonic() + LEAVE_S, False
+        while True:
+            with contextlib.suppress(Exception):  # whatever fails, the way home is asked for again
+                if (said := vehicle.leave()) and not told:
+                    told = True
+                    say(mavlink.MAV_SEVERITY_WARNING, said)
+            with contextlib.suppress(Exception):
+                vehicle.catch_up(self._clock.now_s())
+            if vehicle.left or time.monotonic() >= until_s:
+                break
+            time.sleep(LEAVE_POLL_S)
+        if not vehicle.left:
+            say(mavlink.MAV_SEVERITY_CRITICAL, "The vehicle has not answered: its keeper goes on")
         self._outs.close()
 
 

@@ -89,8 +89,9 @@ class RemoteVehicle:
         """Take what the vehicle has said; returns its texts and ours, and its arrival if there is one."""
         self.catch_up(t_s)
         name, events = self._known.firmware.name, list[VehicleEvent](self.flight.events)
-        for severity, text in self._known.texts:
-            events.append(Said(self.now_s, severity, f"{name}: {text}", heard=True))
+        events += [
+            Said(self.now_s, severity, f"{name}: {text}", heard=True) for severity, text in self._known.texts
+        ]
         self._known.texts.clear()
         self.flight.events.clear()
         if self._flies_course:

@@ -28,14 +28,6 @@ def in_words(wind: WindVector) -> str:
     return f"{math.hypot(*wind):.1f} m/s from {math.degrees(math.atan2(*wind)) % 360.0:.0f}°"
 
 
-def will_estimate(parameters: Mapping[str, float], firmware: str) -> bool:
-    """Return whether an autopilot with these parameters estimates the wind in flight.
-
-    On the ground it never does.
-    """
-    return any(parameters.get(name, 0.0) > 0.0 for name in DRAG_PARAMETERS[firmware])
-
-
 class Winds:
     """The wind of each reading.
 
@@ -51,11 +43,7 @@ class Winds:
         """
         # Of the last reading, before the first that of the flight; None until it is decided.
         self.source: WindSource | None = None
-        self._given, self._scenario, self._say = given, scenario, say
-
-    def asked(self, estimated: WindVector | None) -> WindVector | None:
-        """Return the wind that the payload is told, with the autopilot's estimate."""
-        return self._given or estimated
+        self.given, self._scenario, self._say = given, scenario, say
 
     def before(
         self,
@@ -68,7 +56,8 @@ class Winds:
         Without any wind there is no flight.
         """
         source, wind = self._of(measured, estimated)
-        if source is WindSource.NONE and will_estimate(parameters, firmware):
+        estimates = any(parameters.get(name, 0.0) > 0.0 for name in DRAG_PARAMETERS[firmware])
+        if source is WindSource.NONE and estimates:  # once it flies: on the ground it never does
             source = WindSource.AUTOPILOT
         if source is WindSource.NONE:
             return Check(
@@ -99,8 +88,8 @@ class Winds:
     def _of(
         self, measured: WindVector | None, estimated: WindVector | None
     ) -> tuple[WindSource, WindVector | None]:
-        if self._given:
-            return WindSource.GIVEN, self._given
+        if self.given:
+            return WindSource.GIVEN, self.given
         if measured and measured != estimated:  # a simulated payload repeats an estimate
             return WindSource.SCENARIO if measured == self._scenario else WindSource.PAYLOAD, measured
         return WindSource.AUTOPILOT if estimated else WindSource.NONE, estimated

@@ -5,7 +5,7 @@ there is no flight.
 import pytest
 
 from aircraft.remote.safety import Verdict
-from aircraft.remote.winds import Winds, WindSource, will_estimate
+from aircraft.remote.winds import Winds, WindSource
 from aircraft.search.options import parse_wind
 
 SCENARIO, EAST, NORTH = (0.7, -2.0), (2.0, 0.0), (0.0, 3.0)
@@ -81,10 +81,13 @@ def test_without_any_wind_there_is_no_flight_and_what_to_set_is_told(firmware: s
 
 def test_an_autopilot_that_will_estimate_it_in_flight_may_fly() -> None:
     """On the ground it estimates none."""
-    assert not will_estimate(NO_DRAG, "ArduCopter")
-    assert not will_estimate({}, "PX4")
-    assert will_estimate({**NO_DRAG, "EK3_DRAG_BCOEF_Y": 20.0}, "ArduCopter")
-    assert will_estimate({"EKF2_DRAG_CTRL": 1.0}, "PX4")
+    for parameters, firmware, verdict in (
+        (NO_DRAG, "ArduCopter", Verdict.FORBIDS),
+        ({}, "PX4", Verdict.FORBIDS),
+        ({**NO_DRAG, "EK3_DRAG_BCOEF_Y": 20.0}, "ArduCopter", Verdict.OK),
+        ({"EKF2_DRAG_CTRL": 1.0}, "PX4", Verdict.OK),
+    ):
+        assert Winds(None, SCENARIO, print).before(None, None, parameters, firmware).verdict is verdict
     winds, news = begun(None, None, line="estimated by the autopilot, once it flies")
     assert winds.of(None, EAST) == EAST
     assert not news
