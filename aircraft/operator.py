@@ -60,8 +60,9 @@ def command(system: int, number: int, *params: float, component: int = AUTOPILOT
 
 def companion_heartbeat(state: int) -> Message:
     """HEARTBEAT (0) of a companion computer in a MAV_STATE."""
-    kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
-    return mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, state, 3)
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, state, 3
+    )
 
 
 def change_mode(system: int, mode: Mode) -> Message:

@@ -37,8 +37,11 @@ class Words:
 
     def refuse(self, message: Message, result: Result) -> list[Message]:
         """Return the answer to a command or a change of mode that is refused."""
-        is_mode = message.get_type() == "SET_MODE"
-        return self.answer(message, mavlink.MAVLINK_MSG_ID_SET_MODE if is_mode else message.command, result)
+        return self.answer(
+            message,
+            mavlink.MAVLINK_MSG_ID_SET_MODE if message.get_type() == "SET_MODE" else message.command,
+            result,
+        )
 
     def answer(self, message: Message, command: int, result: Result) -> list[Message]:
         """Return the acknowledgement of a command, and the reason if it is refused."""

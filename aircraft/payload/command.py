@@ -33,10 +33,8 @@ def run(args: argparse.Namespace, world: World) -> int:
         )
         bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
         bus.tally.about = args.payload
-        measure: Measure
-        if args.payload == SIMULATED:
-            measure = Simulated(world)
-        else:
+        measure: Measure = Simulated(world)
+        if args.payload != SIMULATED:
             try:
                 driver = make(args.payload, bus.log)
                 driver.open()

@@ -81,9 +81,8 @@ class RealClients:
         self._vehicle, self._search, self._bus, self._clock = vehicle, search, bus, clock
         self._handling = handling
         self._words = Words()
-        self._codec = Codec(0, SEARCH)
+        self._codec: Codec | None = None  # once the system is known
         self._beat_at_s = 0.0
-        self._spoke_as = 0
         self._outs = Hub(handling.log)
         for url in outs:
             self._outs.open(endpoint_of(parse_address(url), self._outs), signing)
@@ -128,9 +127,8 @@ class RealClients:
         """Say something as the search; nothing before the autopilot is known, whose system id it has."""
         if not self.system or not messages:
             return
-        if self._spoke_as != self.system:
-            self._spoke_as, self._codec = self.system, Codec(self.system, SEARCH)
-        self._pass_on([self._codec.pack(message) for message in messages])
+        codec = self._codec = self._codec or Codec(self.system, SEARCH)
+        self._pass_on([codec.pack(message) for message in messages])
 
     def _pass_on(self, frames: Sequence[bytes]) -> None:
         self._bus.publish(MAVLINK_OUT, b"".join(frames))

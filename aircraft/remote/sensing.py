@@ -39,7 +39,7 @@ class AskedSensor(GasSensor):
         undecided = self._winds.source is None and self._open is None
         if undecided and vehicle.preflight.has_read and not absent:
             self._codec = Codec(vehicle.system, SEARCH)
-            self._ask(round(vehicle.now_s * 1000), 0, vehicle.position)
+            self._ask(round(vehicle.now_s * 1000), 0, vehicle.flight.known.place)
         vehicle.preflight.bound(waits_for, absent)
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> None:

@@ -147,11 +147,6 @@ class RemoteVehicle:
         return self._commander.system
 
     @property
-    def position(self) -> Ned:
-        """Where it says it is, as float32."""
-        return self._known.place
-
-    @property
     def waypoint(self) -> Ned | None:
         """The last accepted setpoint; None before the first."""
         return self.course.waypoint
@@ -179,7 +174,7 @@ class RemoteVehicle:
 
     def still(self, arrived: Arrived) -> Arrived:
         """Return the arrival as it is now: where it has drifted to since."""
-        return Arrived(self.now_s, self.position, self._known.position_ms)
+        return Arrived(self.now_s, self._known.place, self._known.position_ms)
 
     # ---- commands: each is begun, not waited for ----
 

@@ -77,8 +77,10 @@ class Handling:
             self.log.tally.refuse(FAULT)
             if (kind := message.get_type()) not in self._told:
                 self._told.add(kind)
-                who = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
-                self.log.exception(f"{kind} of {who} dropped: {type(error).__name__}: {error}")
+                self.log.exception(
+                    f"{kind} of {message.get_srcSystem()}/{message.get_srcComponent()} dropped: "
+                    f"{type(error).__name__}: {error}"
+                )
 
 
 class Equipment(NamedTuple):
