@@ -4,9 +4,8 @@ import math
 from collections.abc import Callable, Collection
 from typing import NamedTuple, Protocol
 
-from aircraft.config import AircraftConfig
 from aircraft.operator import CommandName
-from aircraft.state import Arrived, Ned, Result, VehicleEvent
+from aircraft.state import AircraftConfig, Arrived, Ned, Result, VehicleEvent
 from link.bus.keys import SEARCHERS, Key
 from link.bus.mavlink import Message
 from link.bus.session import Arrival
@@ -87,8 +86,9 @@ class Aircraft(Protocol):
 
 
 class Clients(Protocol):
-    """The vehicle's clients on the bus and over --out: where their telemetry comes from, and what becomes
-    of what they say.
+    """The vehicle's clients on the bus and over --out.
+
+    They get their telemetry here, and what they say is dealt with here.
 
     A simulated vehicle is its own autopilot. A real one has its own, beside which the search is another
     component.

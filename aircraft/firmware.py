@@ -7,8 +7,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from link.modes import MEANINGS, Mode, mode_name
 
 COMING_DOWN = (Mode.RETURN, Mode.LAND)
-ESTIMATES = mavlink.ESTIMATOR_POS_HORIZ_ABS
-"""Flag of EKF_STATUS_REPORT (193) and ESTIMATOR_STATUS (230): the absolute horizontal position is good."""
+# Flag of EKF_STATUS_REPORT (193) and ESTIMATOR_STATUS (230): the absolute horizontal position is good.
+POSITION_GOOD = mavlink.ESTIMATOR_POS_HORIZ_ABS
 
 
 class Firmware(NamedTuple):
@@ -81,6 +81,7 @@ REPORTS = {
     for autopilot, meanings in MEANINGS.items()
 }
 FIRMWARES = {firmware.autopilot: firmware for firmware in (ARDUCOPTER, PX4)}  # by HEARTBEAT's autopilot
+# HEARTBEAT's types that can hover.
 COPTERS = {
     mavlink.MAV_TYPE_QUADROTOR,
     mavlink.MAV_TYPE_COAXIAL,
@@ -91,7 +92,6 @@ COPTERS = {
     mavlink.MAV_TYPE_DODECAROTOR,
     mavlink.MAV_TYPE_DECAROTOR,
 }
-"""HEARTBEAT's types that can hover."""
 
 
 def unfit(heartbeat: mavlink.MAVLink_heartbeat_message) -> str:

@@ -1,5 +1,4 @@
-"""MAVLink commands of an operator or a companion computer, and the protocol by which one is sent until it
-is done.
+"""MAVLink commands of an operator or a companion computer, and how one is sent until it is done.
 
 A mission script's operator events, the page and the companion of a real autopilot send them.
 """
@@ -17,26 +16,33 @@ from link.modes import Mode
 # What an operator wants: the words of the page and of mission scripts
 CommandName = Literal["hold", "resume", "return", "land"]
 # The flight mode that each leads to
-WANTED: dict[CommandName, Mode] = {
+MODES_WANTED: dict[CommandName, Mode] = {
     "hold": Mode.HOLD,
     "resume": Mode.OFFBOARD,
     "return": Mode.RETURN,
     "land": Mode.LAND,
 }
-OPERATOR = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)  # system id and component id of a ground station
+# The command of each word to the search of a real vehicle: its number, and its param 1 if that counts
+TO_SEARCH: dict[CommandName, tuple[int, ...]] = {
+    "hold": (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0),
+    "resume": (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1),
+    "return": (mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,),
+    "land": (mavlink.MAV_CMD_NAV_LAND,),
+}
+OPERATOR_IDS = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)  # system id and component id of a ground station
 # Component ids of a vehicle's autopilot, and of the search that flies a real one
 AUTOPILOT, SEARCH = int(mavlink.MAV_COMP_ID_AUTOPILOT1), ONBOARD_COMPUTER
 # System id and component id of the launcher, which ends a search whose budget is spent, and what people are
 # told of it
-LAUNCHER, BY_LAUNCHER = (OPERATOR[0], mavlink.MAV_COMP_ID_PATHPLANNER), "the launcher"
+LAUNCHER_IDS, BY_LAUNCHER = (OPERATOR_IDS[0], mavlink.MAV_COMP_ID_PATHPLANNER), "the launcher"
 TRIES = 5  # times that a command is sent that nobody acknowledges
 IN_PROGRESS_S = 10.0  # longest time for a command that the autopilot says is in progress
 # Longest time until telemetry shows what an acknowledged command has changed: a HEARTBEAT comes once a second
 DONE_S = 3.0
 REASON_S = 0.3  # time in which the text with the reason follows a refusal
 NO_ANSWER = "no answer"
-# What an answer means that comes without a reason
-UNSAID = {
+# What people are told of an answer that comes without a reason
+DEFAULT_REASONS = {
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "the vehicle refuses it for now",
     mavlink.MAV_RESULT_DENIED: "the vehicle refuses it",
     mavlink.MAV_RESULT_UNSUPPORTED: "the vehicle does not know this command",
@@ -52,6 +58,13 @@ def command(system: int, number: int, *params: float, component: int = AUTOPILOT
     )
 
 
+def companion_heartbeat(state: int) -> Message:
+    """HEARTBEAT (0) of a companion computer in a MAV_STATE."""
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, state, 3
+    )
+
+
 def change_mode(system: int, mode: Mode) -> Message:
     """COMMAND_LONG (76) with MAV_CMD_DO_SET_MODE (176) and PX4's mode numbers."""
     return command(
@@ -60,48 +73,32 @@ def change_mode(system: int, mode: Mode) -> Message:
 
 
 def order(name: CommandName, system: int, component: int = AUTOPILOT) -> Message:
-    """Return the command of a word to a system: to the simulated autopilot, or to the `SEARCH` that flies
-    a real one.
+    """Return the command of a word to a simulated autopilot, or to the `SEARCH` that flies a real one.
 
     hold: stay where it is. resume: give the vehicle back to its search. return: fly home and land. land:
     land here.
     """
-    match name:
-        case "return":
-            return command(system, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, component=component)
-        case "land":
-            return command(system, mavlink.MAV_CMD_NAV_LAND, component=component)
-    if component == SEARCH:
-        return command(
-            system, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, float(name == "resume"), component=component
-        )
-    return change_mode(system, WANTED[name])
+    if component != SEARCH and name in ("hold", "resume"):
+        return change_mode(system, MODES_WANTED[name])
+    return command(system, *TO_SEARCH[name], component=component)
 
 
 def word_of(number: int, param1: float) -> CommandName | None:
-    """Return the word that a command to the `SEARCH` is: a MAV_CMD and its param 1; None if it is none of
-    the four.
-    """
-    match number:
-        case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-            return "return"
-        case mavlink.MAV_CMD_NAV_LAND:
-            return "land"
-        case mavlink.MAV_CMD_DO_PAUSE_CONTINUE if param1 in (0.0, 1.0):
-            return "resume" if param1 else "hold"
-    return None
+    """Return the word that a MAV_CMD and its param 1 are to the `SEARCH`; None if they are none."""
+    said = (number,), (number, param1)
+    return next((word for word, asked in TO_SEARCH.items() if asked in said), None)
 
 
 def named(sender: tuple[int, int], whence: str) -> str:
-    """Return who a sender is, in words, from system id and component id and how its message came; anybody
-    can write any ids.
+    """Return in words who a sender is, by system and component id, and how its message came.
+
+    Anybody can write any ids.
     """
-    return BY_LAUNCHER if sender == LAUNCHER else f"{sender[0]}/{sender[1]} {whence}"
+    return BY_LAUNCHER if sender == LAUNCHER_IDS else f"{sender[0]}/{sender[1]} {whence}"
 
 
 class CommandRun:
-    """One command by MAVLink's protocol: sent again until it is acknowledged, and done when telemetry
-    shows it.
+    """One command by MAVLink's protocol: sent until it is acknowledged, and done when telemetry shows it.
 
     It holds no link and no clock: its owner sends what is due, and tells what comes. An acknowledgement
     may be lost: each copy gets one.
@@ -179,5 +176,5 @@ class CommandRun:
             return None
         return Result(
             self._result,
-            reason or UNSAID.get(self._result, f"the vehicle answered with result {self._result}"),
+            reason or DEFAULT_REASONS.get(self._result, f"the vehicle answered with result {self._result}"),
         )

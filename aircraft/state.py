@@ -1,5 +1,7 @@
-"""What an aircraft tells its search: places, events, and results of commands."""
+"""An aircraft in its search's words: where it may fly, what it tells, and results of commands."""
 
+import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +24,35 @@ def as_float32(position: Ned) -> Ned:
 def metres(value: float) -> str:
     """Return the shortest decimal that rounds to this float32: 31.1, not 31.100000381."""
     return str(np.float32(value))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AircraftConfig:
+    """Where an aircraft may fly, and how long it may be left without a waypoint."""
+
+    area_m: float = 30.0  # side of the search area [0, area]²: x east, y north, origin at home
+    ceiling_m: float = 120.0  # highest altitude above home
+    takeoff_altitude_m: float = 5.0
+    # Time without a setpoint after which OFFBOARD fails safe: return in the air, disarm on the ground
+    silence_s: float = 30.0
+
+    def outside(self, position: Ned) -> tuple[str, str] | None:
+        """Return why a position (NED, m from home) is outside the area or the altitudes: kind and reason.
+
+        None if it is inside.
+        """
+        north, east, down = position
+        place = f"({metres(east)}, {metres(north)}) m"
+        if not all(map(math.isfinite, position)):
+            return "not finite", f"{place} at {metres(-down)} m is not finite"
+        if not (0.0 <= east <= self.area_m and 0.0 <= north <= self.area_m):
+            return (
+                "outside the area",
+                f"{place} is outside the area [0, {self.area_m:g}] x [0, {self.area_m:g}] m",
+            )
+        if not 0.0 <= -down <= self.ceiling_m:
+            return "outside the altitudes", f"altitude {metres(-down)} m is outside [0, {self.ceiling_m:g}] m"
+        return None
 
 
 class Arrived(NamedTuple):
@@ -50,17 +81,15 @@ class Reached(NamedTuple):
     seq: int
 
 
-class Led(NamedTuple):
-    """Someone else has changed the flight mode or the target of a real autopilot: a pilot, or the
-    autopilot itself.
-    """
+class TakenOver(NamedTuple):
+    """A pilot, or the autopilot itself, has changed the flight mode or the target of a real autopilot."""
 
     time_s: float
     mode: str  # the autopilot's name of the mode, and that the target is another one
     by: str = ""  # who asked for it, if a client has; empty: the autopilot itself, or a pilot by another way
 
 
-VehicleEvent = Arrived | Said | Reached | Led
+VehicleEvent = Arrived | Said | Reached | TakenOver
 
 
 class VehicleFailed(Exception):

@@ -16,7 +16,6 @@ class Words:
     """The texts of one sender. Times in s."""
 
     def __init__(self) -> None:
-        """Begin without a word."""
         self.refused: Counter[str] = Counter()  # refused setpoints, by kind of reason
         self._told_s: dict[str, float] = {}  # when each kind of refusal was last reported
         self._chunked_texts = 0
@@ -38,20 +37,26 @@ class Words:
 
     def refuse(self, message: Message, result: Result) -> list[Message]:
         """Return the answer to a command or a change of mode that is refused."""
-        command = message.command if message.get_type() != "SET_MODE" else mavlink.MAVLINK_MSG_ID_SET_MODE
-        return self.answer(message, command, result)
+        return self.answer(
+            message,
+            mavlink.MAVLINK_MSG_ID_SET_MODE if message.get_type() == "SET_MODE" else message.command,
+            result,
+        )
 
     def answer(self, message: Message, command: int, result: Result) -> list[Message]:
         """Return the acknowledgement of a command, and the reason if it is refused."""
-        to = message.get_srcSystem(), message.get_srcComponent()
         ack = mavlink.MAVLink_command_ack_message(
-            command, result.code, target_system=to[0], target_component=to[1]
+            command,
+            result.code,
+            target_system=message.get_srcSystem(),
+            target_component=message.get_srcComponent(),
         )
         return [ack, *self.reason(result)]
 
     def refuse_setpoint(self, result: Result, t_s: float) -> list[Message]:
-        """Count a setpoint that is denied; returns the reason as STATUSTEXT, unless the same kind was told
-        within a second.
+        """Count a setpoint that is denied, and return the reason as STATUSTEXT.
+
+        Nothing if the same kind was told within a second.
         """
         if result.code != mavlink.MAV_RESULT_DENIED:
             return []

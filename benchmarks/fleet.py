@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.operator import OPERATOR, command
+from aircraft.operator import OPERATOR_IDS, command
 from link import cli
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, READING, WAYPOINT
@@ -88,7 +88,7 @@ def measure(vehicles: int, seconds: float) -> Load:
                         stream.message_id,
                         1e6 / TELEMETRY_HZ,
                     )
-                    bus.publish(MAVLINK_IN, Codec(*OPERATOR).pack(order))
+                    bus.publish(MAVLINK_IN, Codec(*OPERATOR_IDS).pack(order))
         wait_until(
             lambda: len({instance for instance, _ in list(asked)}) == vehicles,
             "each vehicle has taken a reading",

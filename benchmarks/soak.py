@@ -29,7 +29,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from aircraft.search.answers import Answers
+from aircraft.search.search import Answers
 from estimator.filter import Config, assimilate, prior
 from link import cli
 from link.bus.inbox import Inbox

@@ -1,5 +1,6 @@
 """Addresses of MAVLink endpoints: `udpin:`, `udpout:`, `tcp:`, `tcpin:` and `serial:` URLs."""
 
+import contextlib
 import re
 import socket
 import termios
@@ -8,16 +9,16 @@ from typing import NamedTuple
 from link.access.reach import is_open
 
 ALLOWED = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE[:BAUD]"
-LISTENING = ("udpin", "tcpin")
-"""Kinds that wait for others at HOST:PORT. The others call HOST:PORT."""
+LISTENING = ("udpin", "tcpin")  # kinds that wait for others at HOST:PORT. The others call HOST:PORT.
 EVERYWHERE = "0.0.0.0"
 DEFAULT_BAUD = 57600  # of the telemetry port of ArduPilot and PX4
+# Baud rates that the system knows, with its own numbers for them.
 BAUDS = {
     int(name[1:]): int(getattr(termios, name))
     for name in dir(termios)
     if re.fullmatch(r"B[0-9]+", name) and int(name[1:]) >= 1200
 }
-"""Baud rates that the system knows, with its own numbers for them."""
+# What the other side of each kind of endpoint is, or how it connects.
 OTHER_SIDE = {
     "udpin": "MAVSDK: udpout://{host}:{port}, pymavlink and MAVProxy: udpout:{host}:{port}",
     "udpout": "MAVSDK: udpin://0.0.0.0:{port}, pymavlink and MAVProxy: udpin:0.0.0.0:{port}",
@@ -25,9 +26,8 @@ OTHER_SIDE = {
     "tcp": "it is a server: ArduPilot's SITL, or a program with tcpin:0.0.0.0:{port}",
     "serial": "8 data bits, no parity, no flow control",
 }
-"""What the other side of each kind of endpoint is, or how it connects."""
+# Ports of PX4's first simulated vehicle for programs: where it sends to, and where it listens.
 PX4_PORTS = {"udpout": 14540, "udpin": 14580}
-"""Ports of PX4's first simulated vehicle for programs: where it sends to, and where it listens."""
 
 
 class Address(NamedTuple):
@@ -62,8 +62,7 @@ class Address(NamedTuple):
             raise ValueError(
                 f"{self.text}: {error.strerror}; wanted an IPv4 address or the name of a host"
             ) from None
-        host, port = found[0][4][:2]
-        return str(host), int(port)
+        return str(found[0][4][0]), int(found[0][4][1])
 
 
 def parse_address(url: str) -> Address:
@@ -88,13 +87,10 @@ def parse_out(url: str, instance: int = 0) -> Address:
     """
     kind, _, host = url.partition(":")
     usual = f":{PX4_PORTS[kind] + instance}" if kind in PX4_PORTS and host and ":" not in host else ""
-    try:
-        address = parse_address(url + usual)
-    except ValueError:
-        address = None
-    if address is None or address.kind not in PX4_PORTS:
-        raise ValueError(
-            f"{url!r} is not a MAVLink UDP URL; wanted udpout:HOST:PORT or udpin:HOST:PORT, with a port from "
-            "1 to 65535"
-        )
-    return address
+    with contextlib.suppress(ValueError):
+        if (address := parse_address(url + usual)).kind in PX4_PORTS:
+            return address
+    raise ValueError(
+        f"{url!r} is not a MAVLink UDP URL; wanted udpout:HOST:PORT or udpin:HOST:PORT, with a port from "
+        "1 to 65535"
+    )

@@ -3,6 +3,7 @@
 import queue
 import threading
 from collections.abc import Callable
+from functools import partial
 
 from aircraft.bridge.links import AWAY, GARBAGE, OVERFLOW, Traffic
 from link.bus.frames import Frame, FrameStream
@@ -11,10 +12,8 @@ from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, STOP
 from link.bus.session import Arrival, Bus
 
 CLOSE_S = 1.0
+# The attachment of what a bridge publishes: it tells other bridges that the sender itself is not on the bus.
 BRIDGED = b"bridge"
-"""The attachment of what a bridge publishes: it tells other bridges that the sender itself is not on the
-bus.
-"""
 
 
 class BusChannel:
@@ -30,14 +29,11 @@ class BusChannel:
         self._thread = threading.Thread(target=self._publish, name="to the bus", daemon=True)
         self._thread.start()
         for key in (MAVLINK_OUT, MAVLINK_IN, STOP):
-            bus.on(key, self._put_into(self._inbox.lane(key.name)), own=key is STOP)
+            bus.on(key, partial(self._arrived, self._inbox.lane(key.name)), own=key is STOP)
 
-    def _put_into(self, put: Callable[[Arrival, int], None]) -> Callable[[Arrival], None]:
-        def arrived(arrival: Arrival) -> None:
-            put(arrival, len(arrival.payload) + len(arrival.attachment))
-            self._wake()
-
-        return arrived
+    def _arrived(self, put: Callable[[Arrival, int], None], arrival: Arrival) -> None:
+        put(arrival, len(arrival.payload) + len(arrival.attachment))
+        self._wake()
 
     def take(self) -> list[tuple[Arrival, list[Frame]]]:
         """Return what has come since the last call, with the frames in it; a message holds whole frames."""

@@ -1,7 +1,6 @@
 """`plumeward bridge`: joins the bus of a vehicle with MAVLink endpoints."""
 
 import argparse
-import sys
 from collections import Counter
 from contextlib import ExitStack, closing
 
@@ -35,16 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Route until interrupted; stderr says how to connect, and at the end what went where."""
+    """Route until interrupted; stderr says how to connect, and in the end what went where.
+
+    Raises BadInput.
+    """
     addresses = [parse_address(url) for url in args.urls]
-    refusal = ""
     if twice := [address.text for address, count in Counter(addresses).items() if count > 1]:
-        refusal = f"URL: {twice[0]} is given twice; wanted different endpoints"
-    elif args.sign and all(address.kind == "serial" for address in addresses):
-        refusal = "--sign: serial lines are not signed; wanted it with a UDP or TCP endpoint"
-    if refusal:
-        print(f"error: {refusal}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"URL: {twice[0]} is given twice; wanted different endpoints")
+    if args.sign and all(address.kind == "serial" for address in addresses):
+        raise cli.BadInput("--sign: serial lines are not signed; wanted it with a UDP or TCP endpoint")
     with ExitStack() as stack:
         bus = stack.enter_context(
             Bus("bridge", args.connect, args.namespace, log_level=args.log_level, secure=args.secure)
@@ -56,8 +54,7 @@ def run(args: argparse.Namespace) -> int:
             flag = "URL"
             bridge = Bridge(addresses, bus, f"bus {args.namespace}", signing)
         except ValueError as error:
-            print(f"error: {flag}: {error}", file=sys.stderr)
-            return cli.BAD_INPUT
+            raise cli.BadInput(f"{flag}: {error}") from None
         bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
         for address in addresses:
             bus.log.info(f"{address.text}: {address.other_side}")

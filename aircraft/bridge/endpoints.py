@@ -6,7 +6,7 @@ from aircraft.bridge.serial_line import SerialLine
 from aircraft.bridge.tcp import TcpIn, TcpOut
 from aircraft.bridge.udp import Udp
 
-KINDS: dict[str, type[Endpoint]] = {
+ENDPOINTS: dict[str, type[Endpoint]] = {
     "udpin": Udp,
     "udpout": Udp,
     "tcp": TcpOut,
@@ -17,4 +17,4 @@ KINDS: dict[str, type[Endpoint]] = {
 
 def endpoint_of(address: Address, hub: Hub) -> Endpoint:
     """Return the endpoint of an address, not open yet."""
-    return KINDS[address.kind](address, hub)
+    return ENDPOINTS[address.kind](address, hub)

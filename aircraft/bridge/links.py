@@ -7,7 +7,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from aircraft.bridge.address import LISTENING, Address
 from aircraft.bridge.routing import DUPLICATE, UNHEARD
@@ -35,17 +35,17 @@ class Traffic:
         self.log = log
         self.received = self.sent = 0
         self.dropped: Counter[str] = Counter()
+        # Signs what is sent, and says what may be received; None if nothing is signed.
         self.signer: Signer | None = None
-        """Signs what is sent, and says what may be received; None if nothing is signed."""
 
     def drop(self, reason: str, count: int = 1) -> None:
         """Count what is dropped."""
         if not count:
             return
         if reason not in self.dropped and reason not in USUAL:
+            hint = "; no frame has come: is this its baud rate?"
             is_wrong = self.is_serial and reason == GARBAGE and not self.received
-            hint = "; no frame has come: is this its baud rate?" * is_wrong
-            self.log.warning(f"{self.url}: drops {reason}{hint}")
+            self.log.warning(f"{self.url}: drops {reason}{hint * is_wrong}")
         self.dropped[reason] += count
         kind = f"{reason} ({self.url})"
         if reason in USUAL:
@@ -68,8 +68,7 @@ class Traffic:
 class Channel:
     """One sender and receiver of frames: a UDP peer, a TCP connection, a serial line.
 
-    With a signer, signatures are the link's own: frames come without them out of `take`, and get them in
-    `send`.
+    With a signer, signatures are the link's own: `send` adds them, `take` removes them.
     """
 
     def __init__(self, traffic: Traffic, send: Callable[[bytes], None], who: str) -> None:
@@ -92,10 +91,10 @@ class Channel:
             self._send(frame)
 
     def take(self, data: bytes, *, datagram: bool = False) -> list[Frame]:
-        """Return the frames that are now complete, but none without a valid signature where the link
-        signs; count them, and garbage.
+        """Return the frames that are now complete; count them, and garbage.
 
-        A serial line may be a console before it carries frames: its opening is no garbage.
+        Where the link signs, frames without a valid signature are left out. A serial line may be a console
+        before it carries frames: its opening is no garbage.
         """
         before = self._garbage
         frames = self._stream.take(data, datagram=datagram)
@@ -110,18 +109,10 @@ class Channel:
         return frames
 
 
-class Came(NamedTuple):
-    """A frame and the link that it came on."""
-
-    link: Channel
-    frame: Frame
-
-
 class Endpoint:
     """What lies behind one URL: none, one or several links."""
 
     def __init__(self, address: Address, hub: "Hub") -> None:
-        """Take the parts of the URL."""
         self.address = address
         self.traffic = Traffic(address.text, hub.log)
         self.trouble = ""  # why nothing can be sent; empty if all is well
@@ -157,13 +148,12 @@ class Hub:
     """
 
     def __init__(self, log: Log) -> None:
-        """Begin without endpoints."""
         self.log = log
+        # Its keys' data are functions that take the events.
         self.selector: selectors.BaseSelector = selectors.DefaultSelector()
-        """Its keys' data are functions that take the events."""
         self.endpoints: list[Endpoint] = []
         self.links: list[Channel] = []
-        self._came: list[Came] = []
+        self._came: list[tuple[Channel, Frame]] = []
         self._tick_at_s = 0.0
         self._bell: threading.Thread | None = None
         self._rung, self._closed = threading.Event(), False
@@ -194,8 +184,11 @@ class Hub:
             for frame in frames:
                 link.send(frame)
 
-    def take(self, wait_s: float = 0.0) -> list[Came]:
-        """Return what has come; waits until something does, at most this real time, and at most TICK_S."""
+    def take(self, wait_s: float = 0.0) -> list[tuple[Channel, Frame]]:
+        """Return the frames that have come, each with its link.
+
+        Waits until something does, at most this real time, and at most TICK_S.
+        """
         if (now_s := time.monotonic()) >= self._tick_at_s:
             self._tick_at_s = now_s + TICK_S
             self.tick(now_s)
@@ -254,7 +247,7 @@ class Hub:
 
     def route(self, link: Channel, frames: list[Frame]) -> None:
         """Take frames of a link."""
-        self._came += [Came(link, frame) for frame in frames]
+        self._came += [(link, frame) for frame in frames]
 
     def unwatch(self, file: Any) -> None:
         """Poll a file or socket no more; it may be closed already."""

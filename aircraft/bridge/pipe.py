@@ -11,9 +11,10 @@ from typing import Any
 from aircraft.bridge.address import Address
 from aircraft.bridge.links import AWAY, LARGEST_READ, OVERFLOW, Channel, Endpoint, Hub, Traffic
 from link.bus.backoff import Backoff
+from link.bus.log import Log
 
+# First and longest time after which a lost endpoint is tried again; it doubles each time.
 BACK_OFF_FIRST_S, BACK_OFF_LAST_S = 0.25, 4.0
-"""First and longest time after which a lost endpoint is tried again; it doubles each time."""
 
 
 class Pipe:
@@ -102,12 +103,17 @@ class Pipe:
 
 
 class Retry(Backoff):
-    """When a lost endpoint is tried again. After a connection that lasted, waits begin short again."""
+    """When a lost endpoint is tried again, and what its log says of that.
 
-    def __init__(self) -> None:
-        """Try at once."""
+    After a connection that lasted, waits begin short again. A reason is told once in a row.
+    """
+
+    def __init__(self, what: str, there: str, log: Log) -> None:
+        """what: a URL; there: one word for one that works."""
         super().__init__(BACK_OFF_FIRST_S, BACK_OFF_LAST_S)
+        self._what, self._there, self._log = what, there, log
         self._since_s = math.inf
+        self._told = ""
 
     def due(self, now_s: float) -> bool:
         """Whether a try is due. If so, it is taken to be made now."""
@@ -119,6 +125,16 @@ class Retry(Backoff):
     def succeeded(self, now_s: float) -> None:
         """Remember when it was reached."""
         self._since_s = now_s
+        self._told = ""
+        self._log.info(f"{self._what}: {self._there}")
+
+    def failed(self, reason: str) -> str:
+        """Return why it is not there, in words."""
+        trouble = f"{reason}; it is tried again"
+        if reason != self._told:
+            self._told = reason
+            self._log.warning(f"{self._what}: {trouble}")
+        return trouble
 
 
 class Reopened(Endpoint):
@@ -127,25 +143,20 @@ class Reopened(Endpoint):
     there = "open"  # one word for a link that works
 
     def __init__(self, address: Address, hub: Hub) -> None:
-        """Start without the link."""
         super().__init__(address, hub)
-        self.trouble, self._told = f"not yet {self.there}", ""
-        self._retry = Retry()
+        self.trouble = f"not yet {self.there}"
+        self._retry = Retry(address.text, self.there, hub.log)
         self._pipe: Pipe | None = None
 
     def _begin(self, file: Any, most_bytes: int, now_s: float) -> None:
         """Begin the link over what is open, in which at most this many bytes wait."""
         self._pipe = Pipe(file, self._hub, self.traffic, self.address.host, most_bytes, self._fail)
         self._retry.succeeded(now_s)
-        self.trouble = self._told = ""
-        self._hub.log.info(f"{self.address.text}: {self.there}")
+        self.trouble = ""
 
     def _fail(self, reason: str) -> None:
         self.close()
-        self.trouble = f"{reason}; it is tried again"
-        if reason != self._told:
-            self._told = reason
-            self._hub.log.warning(f"{self.address.text}: {self.trouble}")
+        self.trouble = self._retry.failed(reason)
 
     @property
     def state(self) -> str:

@@ -14,11 +14,12 @@ Link = Hashable  # what a caller has for a link to an endpoint
 BUS = 0  # the link to the bus
 ANOTHER_BRIDGE = -1  # where frames come from that another bridge has put on the bus
 DUPLICATE_S = 0.5  # a frame that came on another link less than this ago came around a loop
+# Most frames that are remembered to find duplicates: those of 0.5 s at 16,000 a second.
 MOST_REMEMBERED = 8192
-"""Most frames that are remembered to find duplicates: those of 0.5 s at 16,000 a second."""
-HOME_S = 3.0  # a vehicle that is silent for this long on its link may turn up on another: three heartbeats
+# A vehicle that is silent for this long on its link may turn up on another: three heartbeats.
+MOVES_AFTER_S = 3.0
+# Most senders remembered for each link, the latest heard. It is bounded because ids are easily forged.
 MOST_HEARD = 1024
-"""Most senders remembered for each link, the latest heard. It is bounded because ids are easily forged."""
 SETUP_SIGNING = 256
 AUTOPILOT = 1  # the component id of autopilots
 
@@ -27,7 +28,7 @@ DUPLICATE, ELSEWHERE, UNHEARD = (
     "of a vehicle of another link",
     "for a target that nobody has heard",
 )
-KEYS = "with a key (SETUP_SIGNING)"  # why a frame is dropped
+WITH_KEY = "with a key (SETUP_SIGNING)"  # why a frame is dropped
 
 Sender = tuple[int, int]  # system and component id
 
@@ -36,8 +37,8 @@ class Route(NamedTuple):
     """Where a frame goes."""
 
     links: tuple[Link, ...] = ()
+    # Whether a vehicle has sent it: on the bus it belongs on mavlink/out, else on mavlink/in.
     vehicle: bool = False
-    """Whether a vehicle has sent it: on the bus it belongs on mavlink/out, else on mavlink/in."""
     dropped: str = ""  # why it goes nowhere, if it should have gone somewhere
 
 
@@ -45,24 +46,23 @@ class Routes:
     """What has been heard on each link.
 
     A system is a vehicle on the link on which its autopilot's HEARTBEAT has come, or if the bus has
-    frames of an autopilot on mavlink/out. Each sender of a
-    vehicle has one link, on which it was heard first. Frames with its ids from other links are dropped:
-    they came around a loop that is slower than DUPLICATE_S, or two vehicles have the same id. Once it is
-    silent for HOME_S, it may move. A vehicle that is itself on the bus is at home there, wherever it was
-    heard first: two bridges would otherwise hand its frames around for ever, each taking the other's side
-    for its home. Ground stations may share an id.
+    frames of an autopilot on mavlink/out. Each sender of a vehicle has one link, on which it was heard
+    first. Frames with its ids from other links are dropped: they came around a loop that is slower than
+    DUPLICATE_S, or two vehicles have the same id. Once it is silent for MOVES_AFTER_S, it may move. A
+    vehicle that is itself on the bus is at home there, wherever it was heard first: two bridges would
+    otherwise hand its frames around for ever, each taking the other's side for its home. Ground stations
+    may share an id.
     """
 
     def __init__(self) -> None:
-        """Start with the bus alone."""
         self.heard: dict[Link, dict[Sender, None]] = {BUS: {}}  # senders heard on each link, the latest last
         self._systems: dict[Link, set[int]] = {BUS: set()}  # systems heard on each link
+        # Links and systems: whose autopilot has been heard there.
         self._vehicles: set[tuple[Link, int]] = set()
-        """Links and systems: whose autopilot has been heard there."""
+        # The link of each sender of a vehicle, and when it was last heard there.
         self._homes: dict[Sender, tuple[Link, float]] = {}
-        """The link of each sender of a vehicle, and when it was last heard there."""
+        # When each frame came first, and on which links it has come since; the oldest first.
         self.remembered: dict[bytes, tuple[float, frozenset[Link]]] = {}
-        """When each frame came first, and on which links it has come since; the oldest first."""
 
     def join(self, link: Link) -> None:
         """Add a link."""
@@ -81,16 +81,14 @@ class Routes:
         """Return where a frame goes that came on `link`; `out`: the bus had it on mavlink/out; `brought`:
         by another bridge.
         """
-        if (
-            frame.message_id == SETUP_SIGNING
-        ):  # a key that came over a safe link must not leave by another one
-            return Route(dropped=KEYS)
+        if frame.message_id == SETUP_SIGNING:  # a key from a safe link must not leave by another one
+            return Route(dropped=WITH_KEY)
         sender = (frame.system, frame.component)
         came_from = ANOTHER_BRIDGE if brought else link
         if out and came_from == BUS:
             self._homes[sender] = (BUS, now_s)
         home, heard_s = self._homes.get(sender, (came_from, now_s))
-        away = home != came_from and now_s - heard_s < HOME_S
+        away = home != came_from and now_s - heard_s < MOVES_AFTER_S
         if self._came_elsewhere(frame.data, came_from, now_s, remember=not away):
             return Route(dropped=DUPLICATE)
         if away:
@@ -105,8 +103,8 @@ class Routes:
         there = {other for other in self.heard if self._has(other, *target)}
         if vehicle and link != BUS:
             there.add(BUS)  # mavlink/out holds all that a vehicle says, for records and viewers
-        links = tuple(other for other in self.heard if other in there and other != link)
-        return Route(links, out or vehicle, "" if there else UNHEARD)
+        onwards = (other for other in self.heard if other in there and other != link)
+        return Route(tuple(onwards), out or vehicle, "" if there else UNHEARD)
 
     def _came_elsewhere(self, data: bytes, link: Link, now_s: float, *, remember: bool) -> bool:
         """Return whether a frame came on another link lately. A sender may repeat itself on its own link.

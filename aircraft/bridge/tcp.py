@@ -11,9 +11,9 @@ from aircraft.bridge.pipe import Pipe, Reopened
 
 MOST_BYTES = 256 * 1024  # that wait for a connection, seconds of full telemetry
 CONNECT_S = 5.0  # longest time for a server to answer
-GONE_AFTER_S = 10  # a connection is lost once the other side has acknowledged nothing for this long
-OPTIONS = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 1000 * GONE_AFTER_S}
-"""Linux's names; other systems lack some."""
+LOST_AFTER_S = 10  # a connection is lost once the other side has acknowledged nothing for this long
+# Linux's names; other systems lack some.
+OPTIONS = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 1000 * LOST_AFTER_S}
 
 
 def _prepare(connection: socket.socket) -> None:
@@ -31,7 +31,6 @@ class TcpOut(Reopened):
     there = "connected"
 
     def __init__(self, address: Address, hub: Hub) -> None:
-        """Start unconnected."""
         super().__init__(address, hub)
         self._calling: socket.socket | None = None
         self._until_s = 0.0
@@ -76,7 +75,6 @@ class TcpIn(Endpoint):
     """A link for each client, at most MOST_PEERS."""
 
     def __init__(self, address: Address, hub: Hub) -> None:
-        """Start without clients."""
         super().__init__(address, hub)
         self._server = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._clients: dict[str, Pipe] = {}

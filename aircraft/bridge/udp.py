@@ -3,6 +3,7 @@
 import selectors
 import socket
 import time
+from collections.abc import Callable
 
 from aircraft.bridge.address import Address
 from aircraft.bridge.links import (
@@ -17,8 +18,8 @@ from aircraft.bridge.links import (
 )
 from link.signing.signer import FREE
 
+# A caller is forgotten after this silence: every MAVLink program sends a heartbeat every second.
 FORGET_AFTER_S = 60.0
-"""A caller is forgotten after this silence: every MAVLink program sends a heartbeat every second."""
 Peer = tuple[str, int]
 
 
@@ -30,7 +31,6 @@ class Udp(Endpoint):
     """
 
     def __init__(self, address: Address, hub: Hub) -> None:
-        """Take a socket."""
         super().__init__(address, hub)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -45,7 +45,7 @@ class Udp(Endpoint):
                 self._socket.bind(where)
             else:
                 self._socket.connect(where)  # from now on the kernel delivers only this peer's datagrams
-                self._called = self._link(None, f"{self.address.host}:{self.address.port}")
+                self._called = self._link(self._socket.send, f"{self.address.host}:{self.address.port}")
                 self._hub.join(self._called)
         except OSError as error:
             raise ValueError(f"{self.address.text}: {error.strerror}") from None
@@ -64,13 +64,10 @@ class Udp(Endpoint):
             else:
                 self._hear(datagram, peer)
 
-    def _link(self, peer: Peer | None, who: str) -> Channel:
+    def _link(self, put: Callable[[bytes], int], who: str) -> Channel:
         def send(frame: bytes) -> None:
             try:
-                if peer is None:
-                    self._socket.send(frame)
-                else:
-                    self._socket.sendto(frame, peer)
+                put(frame)
             except BlockingIOError:
                 self.traffic.drop(OVERFLOW)
             except OSError:  # nobody listens there (yet)
@@ -83,7 +80,9 @@ class Udp(Endpoint):
     # ---- those who call ----
 
     def _hear(self, datagram: bytes, peer: Peer) -> None:
-        caller = self._callers.get(peer) or self._link(peer, f"{peer[0]}:{peer[1]}")
+        caller = self._callers.get(peer) or self._link(
+            lambda frame: self._socket.sendto(frame, peer), f"{peer[0]}:{peer[1]}"
+        )
         frames = caller.take(datagram, datagram=True)
         if frames or caller not in self._hub.links:
             caller.heard_s = time.monotonic()

@@ -1,5 +1,4 @@
-"""The keeper of a real autopilot's link, which brings the vehicle home without the search, and the
-connection to it.
+"""The keeper of a real autopilot's link, which brings the vehicle home without the search; and the way to it.
 
 Imports: link, link.bus, aircraft, aircraft.bridge.
 """

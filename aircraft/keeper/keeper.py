@@ -15,9 +15,8 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
-from pymavlink.dialects.v20 import all as mavlink
+from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.bridge.address import parse_address
 from aircraft.bridge.endpoints import endpoint_of
@@ -26,28 +25,26 @@ from aircraft.bridge.pipe import Pipe
 from aircraft.firmware import ARDUCOPTER, COMING_DOWN, FIRMWARES, stands, unfit
 from link.bus.frames import Frame
 from link.bus.log import Log
+from link.bus.mavlink import ONBOARD_COMPUTER, Message, message_of
 from link.bus.tally import Tally
 from link.early import ask_for_stacks
 from link.modes import Mode, px4_mode
 
+# Real time without a HEARTBEAT of the uav after which it counts as silent, whatever the speed-up: its loop
+# sends one each second.
 SILENT_S = 3.0
-"""Real time without a HEARTBEAT of the uav after which it counts as silent, whatever the speed-up: its
-loop sends one each second.
-"""
+# Two looks this far apart mean that the keeper itself was held up: that time does not count as silence.
 HELD_UP_S = 1.0
-"""Two looks this far apart mean that the keeper itself was held up: that time does not count as silence."""
+# A vehicle that is armed later than this after the uav's last HEARTBEAT has been armed by someone else.
 ARMED_S = 5.0
-"""A vehicle that is armed later than this after the uav's last HEARTBEAT has been armed by someone else.
-"""
 AGAIN_S = 1.0  # how often a vehicle that does not obey is told again, and the uav what has happened
 GIVEN_UP_S = 60.0  # without the uav, an autopilot that is not heard for this long is given up
+# Most bytes that wait for a uav that does not read, twice: a few seconds of telemetry, the newest.
 WAITING_BYTES = 16384
-"""Most bytes that wait for a uav that does not read, twice: a few seconds of telemetry, the newest."""
+# System id of the keeper's own words to the uav. No vehicle has it, and a frame with it from outside is not
+# handed on.
 OWN = 0
-"""System id of the keeper's own words to the uav. No vehicle has it, and a frame with it from outside is
-not handed on.
-"""
-AUTOPILOT, COMPANION = mavlink.MAV_COMP_ID_AUTOPILOT1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
+AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 WARNING, CRITICAL, INFO = (
     mavlink.MAV_SEVERITY_WARNING,
     mavlink.MAV_SEVERITY_CRITICAL,
@@ -63,19 +60,19 @@ class Keeper:
 
     def __init__(
         self,
-        send: Callable[[mavlink.MAVLink_message], None],
+        send: Callable[[Message], None],
         say: Callable[[int, str], None],
         hangs: Callable[[], None] = lambda: None,
     ) -> None:
-        """Take how a message goes to the autopilot, how people are told, and what to do with a uav that is
-        silent.
+        """Take how a message goes to the autopilot, and how people are told.
+
+        hangs: what is done about a uav that is silent.
         """
+        # The vehicle's system id: that of its companion, the uav. 0 until the uav has found it.
         self.system = 0
-        """The vehicle's system id: that of its companion, the uav. 0 until the uav has found it."""
         self.acted = ""  # why it has acted, once it has: from then on nothing of the uav's own is handed on
         self.over = False  # whether there is nothing left to do
         self._send, self._say, self._hangs = send, say, hangs
-        self._parser = mavlink.MAVLink(None)
         self._firmware = ARDUCOPTER
         self._mode: int | None = None
         self._status = mavlink.MAV_STATE_UNINIT
@@ -95,17 +92,17 @@ class Keeper:
 
         Returns whether it is to be handed on: what it hands on of others, which has other ids, always.
         """
-        if frame.component != COMPANION:
+        if frame.component != ONBOARD_COMPUTER:
             return True
         if self.acted:
             return False
         if frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._beat_s, self.system = now_s, frame.system or self.system
-            ours = self._message(frame).system_status == mavlink.MAV_STATE_ACTIVE
+            ours = message_of(frame).system_status == mavlink.MAV_STATE_ACTIVE
             self._taken_over = self._taken_over and ours == self._ours  # it knows best, once it knows
             self._ours = ours
         elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-            self._commanded(self._message(frame))
+            self._commanded(message_of(frame))
         return True
 
     def gone(self) -> None:
@@ -132,16 +129,16 @@ class Keeper:
             return False
         number = frame.message_id
         if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-            message = self._message(frame)
+            message = message_of(frame)
             if unfit(message):
                 return False
             self._heard_s = now_s
             self._beats(message, now_s)
             return True
         if number == mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
-            self._landed = self._message(frame).landed_state
+            self._landed = message_of(frame).landed_state
         elif number == mavlink.MAVLINK_MSG_ID_COMMAND_ACK and self._is_in_charge and self.acted:
-            message, land = self._message(frame), self._firmware.modes[Mode.LAND]
+            message, land = message_of(frame), self._firmware.modes[Mode.LAND]
             refused = message.result not in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
             if refused and message.command == mavlink.MAV_CMD_DO_SET_MODE and self._asked != {land}:
                 self._ask_for(Mode.LAND)
@@ -160,9 +157,6 @@ class Keeper:
             self._taken_over = not (failed and mode in self._firmware.hovers)
         self._mode, self._status = mode, message.system_status
 
-    def _message(self, frame: Frame) -> Any:
-        return self._parser.decode(bytearray(frame.data))
-
     # ---- what is to be done ----
 
     def look(self, now_s: float) -> None:
@@ -175,8 +169,10 @@ class Keeper:
             return
         if self._gone and self._heard_s < now_s - GIVEN_UP_S:
             if self._is_in_charge:
-                silence = f"The autopilot is not heard for {GIVEN_UP_S:g} s"
-                self._say(CRITICAL, f"{silence}: its own failsafe is in charge")
+                self._say(
+                    CRITICAL,
+                    f"The autopilot is not heard for {GIVEN_UP_S:g} s: its own failsafe is in charge",
+                )
             self.over = True
         elif self._is_in_charge and self._firmware.reports.get(self._mode or 0) not in COMING_DOWN:
             self._act(now_s)
@@ -191,12 +187,13 @@ class Keeper:
         if now_s - self._sent_s < AGAIN_S:
             return
         self._sent_s, self._told = now_s, False
+        on_ground = stands(self._landed, self._status)
         if not self.acted:
             self.acted = "the uav has ended" if self._gone else f"the uav was silent for {SILENT_S:g} s"
-            what = "stops the motors" if self._on_ground else "sends the vehicle home"
+            what = "stops the motors" if on_ground else "sends the vehicle home"
             self._say(CRITICAL, f"The keeper {what}: {self.acted}")
             self._hangs()  # after our own line: its stacks are written piece by piece, on the same stderr
-        if self._on_ground:  # which is refused in flight
+        if on_ground:  # which is refused in flight
             self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
         else:
             self._ask_for(Mode.RETURN)
@@ -207,17 +204,16 @@ class Keeper:
         self._command(mavlink.MAV_CMD_DO_SET_MODE, *self._firmware.params(number))
 
     def _command(self, number: int, *params: float) -> None:
-        rest = [0.0] * (7 - len(params))
-        self._send(mavlink.MAVLink_command_long_message(self.system, AUTOPILOT, number, 0, *params, *rest))
+        self._send(
+            mavlink.MAVLink_command_long_message(
+                self.system, AUTOPILOT, number, 0, *params, *[0.0] * (7 - len(params))
+            )
+        )
 
     @property
     def _is_in_charge(self) -> bool:
         """Whether nobody else is in charge of a vehicle whose motors turn."""
         return self._armed and self._ours and not self._taken_over
-
-    @property
-    def _on_ground(self) -> bool:
-        return stands(self._landed, self._status)
 
 
 class Switch(Hub):
@@ -230,8 +226,7 @@ class Switch(Hub):
         self._codec = mavlink.MAVLink(None)
         self._used: Channel | None = None  # the vehicle's link
         self._told, self._tell_s = "", -math.inf  # the last word to the uav, and when it was said
-        address = parse_address(url)
-        self._endpoint = endpoint_of(address, self)
+        self._endpoint = endpoint_of(parse_address(url), self)
         self.open(self._endpoint)
         uav.setblocking(False)
         uav.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING_BYTES)
@@ -270,7 +265,7 @@ class Switch(Hub):
         for link in [self._used] if self._used else self._endpoint.links:
             link.send(data)
 
-    def _send(self, message: mavlink.MAVLink_message) -> None:
+    def _send(self, message: Message) -> None:
         self._out(self._packed(message, self.keeper.system))
 
     def _say(self, severity: int, text: str) -> None:
@@ -289,8 +284,8 @@ class Switch(Hub):
         severity = CRITICAL if self.keeper.acted else INFO
         self._uav.send(self._packed(mavlink.MAVLink_statustext_message(severity, text[:50].encode()), OWN))
 
-    def _packed(self, message: mavlink.MAVLink_message, system: int) -> bytes:
-        self._codec.srcSystem, self._codec.srcComponent = system, COMPANION
+    def _packed(self, message: Message, system: int) -> bytes:
+        self._codec.srcSystem, self._codec.srcComponent = system, ONBOARD_COMPUTER
         self._codec.seq = (self._codec.seq + 1) % 256
         return bytes(message.pack(self._codec))
 

@@ -1,5 +1,4 @@
-"""The payload: the gas sensor of a real autopilot, simulated or with a driver, and the vehicle's questions
-to it.
+"""The payload: the gas sensor of a real autopilot, simulated or with a driver.
 
-Imports: plume, link, link.bus, aircraft, aircraft.bridge.
+Imports: plume, link, link.bus, aircraft.bridge.
 """

@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import sys
 
 from aircraft.payload import service
 from aircraft.payload.drivers import Driven, Measure, make, said
@@ -26,8 +25,7 @@ def run(args: argparse.Namespace, world: World) -> int:
     """Answer the vehicle's questions until interrupted. world: what is simulated. Raises BadInput."""
     if args.payload != SIMULATED and (idle := [name for name in OF_THE_PLUME if name in args.given]):
         flag = "MISSION" if idle[0] == "mission" else f"--{idle[0]}"
-        why = f"only with --payload {SIMULATED}; {args.payload} measures what there is"
-        raise cli.BadInput(f"{flag}: {why}")
+        raise cli.BadInput(f"{flag}: only with --payload {SIMULATED}; {args.payload} measures what there is")
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(
@@ -35,20 +33,15 @@ def run(args: argparse.Namespace, world: World) -> int:
         )
         bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
         bus.tally.about = args.payload
-        measure: Measure
-        if args.payload == SIMULATED:
-            measure = Simulated(world)
-        else:
+        measure: Measure = Simulated(world)
+        if args.payload != SIMULATED:
             try:
                 driver = make(args.payload, bus.log)
                 driver.open()
+            except ValueError as error:
+                raise cli.BadInput(f"--payload: {error}") from None
             except Exception as error:  # a plug-in may be anybody's code
-                print(
-                    "error: --payload: "
-                    f"{error if isinstance(error, ValueError) else f'{args.payload}: {said(error)}'}",
-                    file=sys.stderr,
-                )
-                return cli.BAD_INPUT
+                raise cli.BadInput(f"--payload: {args.payload}: {said(error)}") from None
             stack.callback(driver.close)
             measure = Driven(driver, bus.log)
         service.run(bus, service.Measuring(measure, inbox))

@@ -6,7 +6,7 @@ from importlib.metadata import entry_points
 from typing import Protocol
 
 from aircraft.bridge.address import parse_address
-from aircraft.payload.messages import LARGEST, Question, Sample
+from aircraft.payload.messages import LARGEST_FLOAT32, Question, Sample
 from aircraft.payload.options import PLUGINS, SERIAL
 from aircraft.payload.serial_sensor import SerialSensor
 from link import cli
@@ -34,10 +34,10 @@ class Driver(Protocol):
         """
 
     def read(self, timeout_s: float) -> float:
-        """Return the first value that the sensor gives from now on, in its unit; NaN if it gives none
-        within timeout_s.
+        """Return the first value that the sensor gives from now on, in its unit.
+
+        NaN if it gives none within timeout_s.
         """
-        ...
 
     def close(self) -> None:
         """End; called once, perhaps while `read` waits."""
@@ -97,7 +97,7 @@ class Driven:
             return self._without_value(said(error))
         return (
             self._without_value(f"{value} is no value; wanted a finite number, or NaN for none")
-            if abs(value) > LARGEST
+            if abs(value) > LARGEST_FLOAT32
             else value
         )
 

@@ -12,10 +12,10 @@ from link.bus.mavlink import GAS_NAME, BadFrame, Codec, gas_message, split, wind
 NUMBER_NAME = "sample"
 # The payload's MAVLink component id; its system id is the vehicle's
 PAYLOAD_COMPONENT = mavlink.MAV_COMP_ID_PERIPHERAL
-LARGEST = 3.4028234e38  # largest float32: the wire carries no larger value
+LARGEST_FLOAT32 = 3.4028234e38  # largest float32: the wire carries no larger value
 # Messages of a question or an answer: they share its time, with WIND_COV. Others are ignored.
 TIMED = frozenset({"LOCAL_POSITION_NED", "NAMED_VALUE_INT", "NAMED_VALUE_FLOAT"})
-Wind = tuple[float, float]  # (u cos φ, u sin φ) m/s: points to where the wind comes from
+WindVector = tuple[float, float]  # (u cos φ, u sin φ) m/s: points to where the wind comes from
 
 
 class Question(NamedTuple):
@@ -25,7 +25,7 @@ class Question(NamedTuple):
     time_boot_ms: int  # identifies the question and its answer
     number: int  # number of the reading, 0 at the start
     position: tuple[float, float]  # (x, y) m, x east, y north: where the vehicle reports to be
-    wind: Wind | None  # as the autopilot reports it; None if it reports none
+    wind: WindVector | None  # as the autopilot reports it; None if it reports none
 
 
 class Sample(NamedTuple):
@@ -34,11 +34,15 @@ class Sample(NamedTuple):
     time_boot_ms: int  # that of the question
     gas: float  # in the sensor's unit: g/m³, or a count of hits; NaN: the sensor has no value
     # (u cos φ, u sin φ) m/s, points to where the wind comes from; None if the payload does not know it
-    wind: Wind | None
+    wind: WindVector | None
 
 
 def pack_question(
-    codec: Codec, time_boot_ms: int, number: int, position: tuple[float, float, float], wind: Wind | None
+    codec: Codec,
+    time_boot_ms: int,
+    number: int,
+    position: tuple[float, float, float],
+    wind: WindVector | None,
 ) -> bytes:
     """Return the frames of a question; position is (north, east, down) m."""
     place = mavlink.MAVLink_local_position_ned_message(time_boot_ms, *position, 0.0, 0.0, 0.0)
@@ -48,14 +52,15 @@ def pack_question(
 
 def unpack_question(payload: bytes) -> Question:
     """Undo `pack_question`; raises BadFrame with the reason."""
-    said = _said(payload, "question", {"LOCAL_POSITION_NED": "", "NAMED_VALUE_INT": NUMBER_NAME})
-    place, number = said.messages["LOCAL_POSITION_NED"], said.messages["NAMED_VALUE_INT"]["value"]
+    names = {"LOCAL_POSITION_NED": "", "NAMED_VALUE_INT": NUMBER_NAME}
+    system, (place, counted), wind = _said(payload, "question", names)
+    number = counted["value"]
     if number < 0:
         raise BadFrame(f"{NUMBER_NAME} is {number}; wanted a whole number from 0")
     position = place["y"], place["x"]
     if not all(map(math.isfinite, position)):
         raise BadFrame(f"position is not finite: {position}", "not finite")
-    return Question(said.system, place["time_boot_ms"], number, position, said.wind)
+    return Question(system, place["time_boot_ms"], number, position, wind)
 
 
 def pack_answer(system: int, sample: Sample) -> bytes:
@@ -67,21 +72,19 @@ def pack_answer(system: int, sample: Sample) -> bytes:
 
 def unpack_answer(payload: bytes) -> Sample:
     """Undo `pack_answer`; raises BadFrame with the reason."""
-    said = _said(payload, "answer", {"NAMED_VALUE_FLOAT": GAS_NAME})
-    gas = said.messages["NAMED_VALUE_FLOAT"]
+    _, (gas,), wind = _said(payload, "answer", {"NAMED_VALUE_FLOAT": GAS_NAME})
     if math.isinf(gas["value"]):
         raise BadFrame(f"gas is {gas['value']}; wanted a finite value, or NaN for none", "not finite")
-    return Sample(gas["time_boot_ms"], gas["value"], said.wind)
+    return Sample(gas["time_boot_ms"], gas["value"], wind)
 
 
-class _Said(NamedTuple):
-    system: int
-    messages: Mapping[str, Mapping[str, Any]]  # their fields, by message type
-    wind: Wind | None
+def _said(
+    payload: bytes, what: str, names: Mapping[str, str]
+) -> tuple[int, list[dict[str, Any]], WindVector | None]:
+    """Return who sent a payload, the fields of the messages that it must have, and the wind.
 
-
-def _said(payload: bytes, what: str, names: Mapping[str, str]) -> _Said:
-    """Return what a payload says; `names`: the messages that it must have, and the value that each names."""
+    names: those messages by type, and the value that each names.
+    """
     frames = split(payload)
     said, wind = messages_in(frames), None
     for kind, name in names.items():
@@ -97,4 +100,4 @@ def _said(payload: bytes, what: str, names: Mapping[str, str]) -> _Said:
             raise BadFrame(f"wind is not finite: {wind}", "not finite")
     if len(times) > 1:
         raise BadFrame(f"the frames of the {what} do not share one time_boot_ms")
-    return _Said(frames[0].system, said, wind)
+    return frames[0].system, [said[kind] for kind in names], wind

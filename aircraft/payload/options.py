@@ -40,7 +40,7 @@ def check(text: str) -> None:
                 str(error) if "baud" in str(error) else f"{text!r} is not allowed; wanted {WANTED_SERIAL}"
             ) from None
     elif name not in kinds():
-        plugged_in = [*kinds()[2:]]
-        raise ValueError(cli.not_allowed(text, kinds(), cli.listing([SIMULATED, WANTED_SERIAL, *plugged_in])))
+        wanted = cli.listing([SIMULATED, WANTED_SERIAL, *kinds()[2:]])
+        raise ValueError(cli.not_allowed(text, kinds(), wanted))
     elif name == SIMULATED and colon:
         raise ValueError(f"{text!r} is not allowed; wanted {SIMULATED} alone")

@@ -9,7 +9,7 @@ import time
 from aircraft.bridge.address import Address
 from aircraft.bridge.pipe import Retry
 from aircraft.bridge.serial_line import open_device
-from aircraft.payload.messages import LARGEST
+from aircraft.payload.messages import LARGEST_FLOAT32
 from link.bus.log import Log
 
 NO_NUMBER = "not a number"  # what a payload counts in its health for each line that is none
@@ -32,12 +32,9 @@ class NumberLines:
     def __init__(self, log: Log) -> None:
         """Take the log whose tally counts the lines that are no numbers."""
         self._log = log
-        self.begun: bytes | None = None  # the line that has begun; None if its beginning is not known
+        # The line that has begun; None if bytes of it may be missing: what comes up to its end is left out
+        self.begun: bytes | None = None
         self._told = False
-
-    def lose_place(self) -> None:
-        """Leave out what comes up to the next end of a line: bytes may be missing."""
-        self.begun = None
 
     def take(self, data: bytes) -> list[float]:
         """Return the numbers of the lines that are now complete.
@@ -53,7 +50,11 @@ class NumberLines:
 
     def _number(self, line: bytes) -> float | None:
         text = line.strip()
-        if len(line) <= LONGEST and NUMBER.fullmatch(text) and not abs(value := float(text)) > LARGEST:
+        if (
+            len(line) <= LONGEST
+            and NUMBER.fullmatch(text)
+            and not abs(value := float(text)) > LARGEST_FLOAT32
+        ):
             return value
         self._log.tally.refuse(NO_NUMBER)
         if not self._told:
@@ -69,13 +70,10 @@ class SerialSensor:
     """The driver of a serial line of numbers. A device that is unplugged may come back."""
 
     def __init__(self, address: Address, log: Log) -> None:
-        """Take the device."""
         self._address = address
-        self._log = log
         self._lines = NumberLines(log)
-        self._retry = Retry()
+        self._retry = Retry(address.text, "open", log)
         self._descriptor = -1
-        self._told = ""
 
     def open(self) -> None:
         """Open the device; if it is not there, it is looked for when a value is wanted."""
@@ -105,7 +103,7 @@ class SerialSensor:
             waited += len(data)
             self._lines.take(data)
             if waited > MOST_WAITING:
-                self._lines.lose_place()
+                self._lines.begun = None
 
     def _receive(self, timeout_s: float) -> bytes:
         """Return what comes within a time; empty if nothing does, or if the device is lost."""
@@ -129,13 +127,9 @@ class SerialSensor:
             self._lose(str(error.strerror))
             return False
         self._retry.succeeded(now_s)
-        self._told = ""
-        self._lines.lose_place()
-        self._log.info(f"{self._address.text}: open")
+        self._lines.begun = None
         return True
 
     def _lose(self, reason: str) -> None:
         self.close()
-        if reason != self._told:
-            self._told = reason
-            self._log.warning(f"{self._address.text}: {reason}; it is tried again")
+        self._retry.failed(reason)

@@ -27,7 +27,6 @@ class Measuring:
     """Measures in a thread of its own: a sensor that hangs costs its values, not the service."""
 
     def __init__(self, measure: Measure, inbox: Inbox) -> None:
-        """Take what measures, and where its answers go."""
         self._measure = measure
         self._inbox = inbox
         self._questions = Inbox()

@@ -4,7 +4,7 @@ import math
 
 import msgspec
 
-from aircraft.payload.messages import Question, Sample, Wind
+from aircraft.payload.messages import Question, Sample
 from plume.world import World
 
 
@@ -15,7 +15,6 @@ class Simulated:
     """
 
     def __init__(self, world: World) -> None:
-        """Take the world of the mission."""
         self.world = world
         self._lost = -1
 
@@ -24,19 +23,13 @@ class Simulated:
 
         The plume blows with the wind of the question; without one, with that of the scenario.
         """
-        world = self.world if question.wind is None else blown(self.world, question.wind)
-        wind = question.wind or world.wind
+        world, wind = self.world, question.wind or self.world.wind
+        if wind != world.wind:  # else to the last bit as it is: these are float32 components
+            world = turned(world, math.hypot(*wind), math.atan2(wind[1], wind[0]))
         if world.loses(question.number) and question.number != self._lost:
             self._lost = question.number  # only the first time: then it is read again
             return Sample(question.time_boot_ms, math.nan, wind)
         return Sample(question.time_boot_ms, world.gas(question.position, question.number), wind)
-
-
-def blown(world: World, wind: Wind) -> World:
-    """Return the world in another measured wind, m/s, which points to where it comes from."""
-    if wind == world.wind:
-        return world  # to the last bit: direction and speed of float32 components are not the scenario's
-    return turned(world, math.hypot(*wind), math.atan2(wind[1], wind[0]))
 
 
 def turned(world: World, u: float | None, phi: float | None) -> World:

@@ -5,7 +5,6 @@ import contextlib
 import os
 
 from aircraft.bridge.address import parse_address
-from aircraft.config import AircraftConfig
 from aircraft.keeper.connection import Connection
 from aircraft.remote.commander import Commander
 from aircraft.remote.passing import RealClients
@@ -13,11 +12,10 @@ from aircraft.remote.sensing import AskedSensor
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.remote.winds import Winds
 from aircraft.search.command import Orders, fly, given_by
-from aircraft.search.handling import Handling
 from aircraft.search.options import parse_wind
 from aircraft.search.search import Search
-from aircraft.search.uav import Equipment, Uav
-from link.bus.log import Log
+from aircraft.search.uav import Equipment, Handling, Uav
+from aircraft.state import AircraftConfig
 from link.interrupts import LAUNCHER
 
 
@@ -25,30 +23,19 @@ def run(args: argparse.Namespace, orders: Orders, config: AircraftConfig) -> int
     """Fly until interrupted; returns the exit status. Raises BadInput."""
 
     def make(equipment: Equipment, stack: contextlib.ExitStack) -> Uav:
+        log, address = equipment.say.log, parse_address(args.vehicle)
         with given_by("--vehicle"):
-            vehicle, connection = real_vehicle(
-                args.vehicle, config, orders.speedup, args.sysid, args.wait, equipment.say.log
-            )
+            connection = Connection(address, log)
         stack.callback(connection.close)
+        log.info(f"vehicle at {address.text}; the other side: {address.other_side}")
+        if risk := address.risk("speak as the vehicle"):
+            log.warning(risk)
+        commander = Commander(connection, orders.speedup, args.sysid, Handling(log).of)
+        launched = LAUNCHER in os.environ
+        vehicle = RemoteVehicle(config, commander, wait_s=args.wait, launched=launched)
         return real_uav(vehicle, orders, equipment, parse_wind(args.wind) if args.wind else None)
 
     return fly(args, orders, make)
-
-
-def real_vehicle(
-    url: str, config: AircraftConfig, speedup: float, sysid: int | None, wait_s: float, log: Log
-) -> tuple[RemoteVehicle, Connection]:
-    """Return the vehicle at a URL, and the connection to close in the end.
-
-    Raises ValueError if the URL cannot be used.
-    """
-    connection = Connection(parse_address(url), log)
-    address = connection.address
-    log.info(f"vehicle at {address.text}; the other side: {address.other_side}")
-    if risk := address.risk("speak as the vehicle"):
-        log.warning(risk)
-    commander = Commander(connection, speedup, sysid, Handling(log).of)
-    return RemoteVehicle(config, commander, wait_s=wait_s, launched=LAUNCHER in os.environ), connection
 
 
 def real_uav(
@@ -62,5 +49,5 @@ def real_uav(
     assert bus is not None
     search = Search(vehicle, orders.world.start, orders.after_stop, say)
     clients = RealClients(vehicle, search, bus, outs, clock, Handling(say.log), signing)
-    sensor = AskedSensor(vehicle, bus, Winds(wind, orders.world.wind), say)
+    sensor = AskedSensor(vehicle, bus, Winds(wind, orders.world.wind, say))
     return Uav(search, clients, sensor, equipment, orders.events)

@@ -1,6 +1,4 @@
-"""The conversation with one autopilot: it is found, asked for telemetry, and commanded until it
-acknowledges.
-"""
+"""The conversation with one autopilot: it is found, asked for telemetry, and commanded."""
 
 import itertools
 import math
@@ -12,17 +10,15 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.firmware import FIRMWARES, unfit
 from aircraft.keeper.connection import Connection
-from aircraft.operator import AUTOPILOT, DONE_S, REASON_S, TRIES, CommandRun, command
+from aircraft.operator import AUTOPILOT, DONE_S, REASON_S, TRIES, CommandRun, command, companion_heartbeat
 from aircraft.remote.known import Known
 from aircraft.state import ACCEPTED, Result, VehicleFailed
 from link.bus.mavlink import ONBOARD_COMPUTER, Message
 
 AGAIN_S = 1.0  # time after which what is unanswered is sent again
 SHORTEST_S = 0.5  # shortest real time for any answer, however fast the vehicle's simulator runs
+# Shortest real time after which a vehicle that says nothing counts as lost, however fast its simulator runs.
 SLOWEST_S = 2.0
-"""Shortest real time after which a vehicle that says nothing counts as lost, however fast its simulator
-runs.
-"""
 BEAT_S = 1.0  # longest time between two HEARTBEATs, of the vehicle's and of real time
 STREAMS_S = 2.0  # time between two looks at which streams are missing
 MOST_UNFIT = 8  # kinds of HEARTBEATs that are not the vehicle's and are told
@@ -54,10 +50,9 @@ class Commander:
         self.system = 0  # the vehicle's system id; 0 until it is found
         self.now_s = 0.0
         self.quiet = False  # whether only HEARTBEATs go out unasked: a pilot leads
+        # Whether the vehicle is in our charge, which our HEARTBEAT says: ACTIVE, else STANDBY. The keeper
+        # goes by it.
         self.in_charge = False
-        """Whether the vehicle is in our charge, which our HEARTBEAT says: ACTIVE, else STANDBY. The keeper
-        goes by it.
-        """
         self.ignored: list[str] = []  # what is not listened to, and why, in words; each once
         self._handling = handling
         self._unfit: set[str] = set()
@@ -94,8 +89,7 @@ class Commander:
         if state == self._state and self.now_s - self._beat_s < min(BEAT_S, self.speedup):
             return
         self._beat_s, self._state = self.now_s, state
-        kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
-        self.radio.send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, state, 3))
+        self.radio.send(companion_heartbeat(state))
 
     def _take(self, message: Message) -> None:
         system, kind = message.get_srcSystem(), message.get_type()
@@ -124,13 +118,15 @@ class Commander:
         elif reason not in self._unfit and len(self._unfit) < MOST_UNFIT:
             # a gimbal or a companion that has taken the vehicle's ids
             self._unfit.add(reason)
-            ids = f"{system}/{AUTOPILOT}"
-            self.ignored.append(f"Another HEARTBEAT with the vehicle's ids, {ids}, is ignored: {reason}")
+            self.ignored.append(
+                f"Another HEARTBEAT with the vehicle's ids, {system}/{AUTOPILOT}, is ignored: {reason}"
+            )
         return not reason
 
     def _ask_for_streams(self) -> None:
-        """Ask for the messages that do not come: ArduPilot streams none of them unasked, and forgets them
-        when it starts again.
+        """Ask for the messages that do not come.
+
+        ArduPilot streams none of them unasked, and forgets them when it starts again.
         """
         came_s = self.known.came_s
         for wanted, rate_hz in self.known.firmware.streams.items():

@@ -1,6 +1,4 @@
-"""Whether a vehicle is where it says: jumps of its position, its own doubts about it, and when both are
-over.
-"""
+"""Whether a vehicle is where it says: jumps of its position, its doubts about it, and their end."""
 
 import math
 import re
@@ -11,35 +9,30 @@ from pymavlink.dialects.v20 import all as mavlink
 from aircraft.state import Ned
 from link.bus.mavlink import Message, elapsed_ms
 
+# An EKF may reset its position by this much, for instance when it changes to another of its filters: no
+# glitch.
 RESET_M = 1.0
-"""An EKF may reset its position by this much, for instance when it changes to another of its filters: no
-glitch.
-"""
+# Largest acceleration of a multirotor in a search; PX4's limit (MPC_ACC_HOR_MAX), twice ArduCopter's
+# (WPNAV_ACCEL).
 ACCELERATION_MPS2 = 5.0
-"""Largest acceleration of a multirotor in a search; PX4's limit (MPC_ACC_HOR_MAX), twice ArduCopter's
-(WPNAV_ACCEL).
-"""
 SPEED_ERROR = 0.1  # share of the speed by which the reported velocity may be wrong
+# Of position or velocity, by whether it is ArduPilot: there FS_EKF_THRESH's default. From 1 on both reject
+# what GPS says.
 LARGEST_VARIANCE = {True: 0.8, False: 1.0}
-"""Of position or velocity, by whether it is ArduPilot: there FS_EKF_THRESH's default. From 1 on both
-reject what GPS says.
-"""
+# Large variances that last for this long are a glitch; ArduPilot waits as long. Shorter ones only delay a
+# reading.
 DOUBTED_S = 1.0
-"""Large variances that last for this long are a glitch; ArduPilot waits as long. Shorter ones only delay a
-reading.
-"""
 SOUND_S = 5.0  # a glitch is over when nothing has been wrong for this long
 SHIFTED_S = 20.0  # the same while the position has not jumped back: most glitches do
+# A glitch may begin this long before it is noticed: ArduPilot waits for 1 s, telemetry and the EKF add a few
+# tenths.
 NOTICED_S = 2.0
-"""A glitch may begin this long before it is noticed: ArduPilot waits for 1 s, telemetry and the EKF add a
-few tenths.
-"""
+# What ArduPilot and PX4 say of a position that they doubt, or take from another filter.
 BEGINS = re.compile(
     r"gps glitch|ekf variance|ekf primary changed|lane switch|emergency yaw reset|dead reckoning started"
     r"|g(nss|ps) data fusion stopped|g(nss|ps) signal (spoofed|jammed)",
     re.IGNORECASE,
 )
-"""What ArduPilot and PX4 say of a position that they doubt, or take from another filter."""
 ENDS = re.compile(r"glitch cleared|dead reckoning stopped|g(nss|ps) data fusion started", re.IGNORECASE)
 Shift = tuple[float, float]  # m north and east
 
@@ -53,9 +46,7 @@ class Fix(NamedTuple):
 
 
 def innovation(before: Fix, now: Fix) -> Shift:
-    """Return how far, north and east, a position lies from where the one before it and both velocities
-    lead.
-    """
+    """Return how far north and east a position lies from where the last one and both velocities lead."""
     seconds = elapsed_ms(before.boot_ms, now.boot_ms) / 1000.0
     north, east = (
         now.position[n] - before.position[n] - (before.velocity[n] + now.velocity[n]) / 2.0 * seconds
@@ -81,12 +72,10 @@ class Glitches:
     """
 
     def __init__(self) -> None:
-        """Begin on the ground, with a position that nobody doubts."""
         self.fix: Fix | None = None  # the newest position
+        # The sum of the jumps of this flight. The vehicle has not jumped: what lies around it has moved by
+        # this much in the EKF's frame.
         self.shift: Shift = (0.0, 0.0)
-        """The sum of the jumps of this flight. The vehicle has not jumped: what lies around it has moved by
-        this much in the EKF's frame.
-        """
         self.began_s = math.inf  # when the glitch began that lasts; infinity if none does
         self.read_s = -math.inf  # when the last reading was taken
         self.news: list[str] = []  # what people are to be told; whoever tells them takes it away
@@ -98,8 +87,9 @@ class Glitches:
     # ---- what the vehicle says ----
 
     def flies(self, flies: bool) -> None:
-        """Take whether it is in the air: what jumps on the ground moves nothing, and is no glitch of a
-        flight.
+        """Take whether it is in the air.
+
+        What jumps on the ground moves nothing, and is no glitch of a flight.
         """
         if not flies:
             self.shift, self.began_s = (0.0, 0.0), math.inf
@@ -125,8 +115,9 @@ class Glitches:
         return True
 
     def judge(self, message: Message, is_ardupilot: bool, now_s: float) -> None:
-        """Take an EKF_STATUS_REPORT or ESTIMATOR_STATUS: its flag for a glitch, and how little EKF and GPS
-        agree.
+        """Take an EKF_STATUS_REPORT or ESTIMATOR_STATUS.
+
+        It has a flag for a glitch, and tells how little EKF and GPS agree.
         """
         flag, velocity, position = (
             (mavlink.EKF_GPS_GLITCHING, message.velocity_variance, message.pos_horiz_variance)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.firmware import ARDUCOPTER, ESTIMATES, FIRMWARES, Firmware, stands
+from aircraft.firmware import ARDUCOPTER, FIRMWARES, POSITION_GOOD, Firmware, stands
 from aircraft.remote.glitches import Fix, Glitches
 from aircraft.state import ZERO, Ned, as_float32
 from link.bus.mavlink import Message, Texts
@@ -18,9 +18,10 @@ from plume.geodesy import home_from
 LOST_S = 3.0  # time without a HEARTBEAT after which the link counts as lost; it comes once a second
 STALE_S = 1.0  # time after which a position is too old to act on
 NEW_BOOT_MS = 2000  # a clock that goes back by more than this has begun anew
+# What an autopilot's text on a geofence says.
 BREACH = re.compile("breach|geofence|fence violation", re.IGNORECASE)
-"""What an autopilot's text on a geofence says."""
-OVER = re.compile("clear|recover|deactivated", re.IGNORECASE)  # what a text on a breach that is over says
+# What a text on a breach that is over says.
+BREACH_OVER = re.compile("clear|recover|deactivated", re.IGNORECASE)
 INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8,
     mavlink.MAV_PARAM_TYPE_INT8,
@@ -57,22 +58,20 @@ class Known:
     flags: int = 0  # ESTIMATOR_STATUS_FLAGS, or EKF_STATUS_FLAGS, whose first bits mean the same
     origin: Global | None = None
     home: Global | None = None
-    home_s: float = -math.inf
     target: Ned | None = None  # the position that it says it flies to
     landed: int = mavlink.MAV_LANDED_STATE_UNDEFINED
     healthy: bool = True  # False while SYS_STATUS says that a check before arming fails
     battery: float = math.nan  # 0 to 1; NaN where the autopilot does not know
+    # (u cos φ, u sin φ) m/s, x east, y north, to where the wind comes from; None where the autopilot does not
+    # tell.
     wind: tuple[float, float] | None = None
-    """(u cos φ, u sin φ) m/s, x east, y north, to where the wind comes from; None where the autopilot does
-    not tell.
-    """
     wind_s: float = -math.inf  # when it last told of a wind, or that it does not know it
     breach_s: float = -math.inf  # when it last said that the geofence is breached
     breached_s: float = -math.inf  # when a breach last began, or a text last said so
+    # STATUSTEXTs since they were last taken: severity and text.
     texts: list[tuple[int, str]] = field(default_factory=list)
-    """STATUSTEXTs since they were last taken: severity and text."""
+    # The latest texts that warn, with their times.
     warnings: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=20))
-    """The latest texts that warn, with their times."""
     parameters: dict[str, float] = field(default_factory=dict)
     boot_ms: int = 0  # the autopilot's clock when it last told its position or attitude
     boots: int = 0  # how often that clock has begun anew
@@ -105,21 +104,15 @@ class Known:
             case "GPS_GLOBAL_ORIGIN":
                 self.origin = message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
             case "HOME_POSITION":
-                self.home, self.home_s = (
-                    (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0),
-                    now_s,
-                )
+                self.home = message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
             case "EKF_STATUS_REPORT" | "ESTIMATOR_STATUS":
                 self.flags = message.flags
                 self.glitches.judge(message, self.firmware.is_ardupilot, now_s)
             case "SYS_STATUS":
                 left, check = message.battery_remaining, mavlink.MAV_SYS_STATUS_PREARM_CHECK
                 self.battery = left / 100.0 if 0 <= left <= 100 else math.nan
-                checks, passes = (
-                    message.onboard_control_sensors_present,
-                    message.onboard_control_sensors_health,
-                )
-                self.healthy = not checks & check & ~passes
+                checked = message.onboard_control_sensors_present & check
+                self.healthy = not checked & ~message.onboard_control_sensors_health
             case "EXTENDED_SYS_STATE":
                 self.landed = message.landed_state
             case "WIND_COV":
@@ -170,7 +163,7 @@ class Known:
         if text is None:
             return
         self.glitches.hear(text, now_s)
-        if BREACH.search(text) and not OVER.search(text):
+        if BREACH.search(text) and not BREACH_OVER.search(text):
             self.breach_s = self.breached_s = now_s
         if message.severity <= mavlink.MAV_SEVERITY_NOTICE:
             self.warnings.append((now_s, text))
@@ -190,10 +183,11 @@ class Known:
         return max(STALE_S, self.slowest_s)
 
     def knows_place(self, now_s: float) -> bool:
-        """True if the position is fresh and the EKF stands by it: after a loss of GPS positions keep
-        coming, but the flag goes.
+        """True if the position is fresh and the EKF stands by it.
+
+        After a loss of GPS positions keep coming, but the flag goes.
         """
-        return now_s - self.position_s <= self.stale_s and bool(self.flags & ESTIMATES)
+        return now_s - self.position_s <= self.stale_s and bool(self.flags & POSITION_GOOD)
 
     def trusts_place(self, now_s: float) -> bool:
         """True if the position is known and nothing speaks against it: a reading may be taken."""

@@ -14,11 +14,19 @@ from aircraft.bridge.bus_link import BRIDGED
 from aircraft.bridge.endpoints import endpoint_of
 from aircraft.bridge.links import Hub
 from aircraft.bridge.routing import SETUP_SIGNING
-from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, named, word_of
+from aircraft.operator import (
+    AUTOPILOT,
+    OPERATOR_IDS,
+    SEARCH,
+    CommandName,
+    companion_heartbeat,
+    named,
+    word_of,
+)
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
-from aircraft.search.handling import Handling
 from aircraft.search.search import Search
+from aircraft.search.uav import Handling
 from aircraft.state import UNSUPPORTED, Result, denied
 from aircraft.words import Words
 from link.bus.frames import Frame, FrameStream, fields_of
@@ -28,13 +36,14 @@ from link.bus.session import Arrival, Bus
 from link.signing.signer import Signing
 
 BEAT_S = 1.0  # real time between two HEARTBEATs of the search
-COMMANDS = {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
-SETPOINTS = {
+COMMAND_IDS = {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
+SETPOINT_IDS = {
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
     mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET,
 }
-CHANGES = {
+# Commands of which a change of the flight mode may come.
+MODE_COMMANDS = {
     mavlink.MAV_CMD_DO_SET_MODE,
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
     mavlink.MAV_CMD_NAV_LAND,
@@ -44,34 +53,10 @@ CHANGES = {
     mavlink.MAV_CMD_MISSION_START,
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
 }
-"""Commands of which a change of the flight mode may come."""
-POSED, KEYS = "in the vehicle's name", "with a key"  # kinds of clients' frames that are dropped
+POSED, WITH_KEY = "in the vehicle's name", "with a key"  # kinds of clients' frames that are dropped
+# Longest real time in which a real vehicle is told to return home when this program ends; a launcher waits
+# for 11 s.
 LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
-"""Longest real time in which a real vehicle is told to return home when this program ends; a launcher
-waits for 11 s.
-"""
-
-
-def leave(vehicle: RemoteVehicle, clock: Clock, tell: Callable[[int, str], None]) -> None:
-    """See to it that a real vehicle in the air has someone in charge when this program ends.
-
-    It takes at most `LEAVE_S`.
-
-    Call it where no signal can cut it short (`link.interrupts.uninterrupted`).
-    """
-    until_s, told = time.monotonic() + LEAVE_S, False
-    while True:
-        with contextlib.suppress(Exception):  # whatever fails, the way home is asked for again
-            if (said := vehicle.leave()) and not told:
-                told = True
-                tell(mavlink.MAV_SEVERITY_WARNING, said)
-        with contextlib.suppress(Exception):
-            vehicle.catch_up(clock.now_s())
-        if vehicle.left or time.monotonic() >= until_s:
-            break
-        time.sleep(LEAVE_POLL_S)
-    if not vehicle.left:
-        tell(mavlink.MAV_SEVERITY_CRITICAL, "The vehicle has not answered: its keeper goes on")
 
 
 class RealClients:
@@ -96,9 +81,8 @@ class RealClients:
         self._vehicle, self._search, self._bus, self._clock = vehicle, search, bus, clock
         self._handling = handling
         self._words = Words()
-        self._codec = Codec(0, SEARCH)
+        self._codec: Codec | None = None  # once the system is known
         self._beat_at_s = 0.0
-        self._spoke_as = 0
         self._outs = Hub(handling.log)
         for url in outs:
             self._outs.open(endpoint_of(parse_address(url), self._outs), signing)
@@ -111,8 +95,9 @@ class RealClients:
     # ---- what they are told ----
 
     def serve(self) -> None:
-        """Pass on what has come from the autopilot since the last call, and from the clients of --out;
-        send a HEARTBEAT if it is due.
+        """Pass on what has come from the autopilot and the clients of --out since the last call.
+
+        Send a HEARTBEAT if it is due.
         """
         if frames := self._vehicle.frames():
             self._pass_on(frames)
@@ -128,8 +113,7 @@ class RealClients:
     def changed(self) -> None:
         """Tell that the search is there."""
         self._beat_at_s = time.monotonic() + BEAT_S
-        kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
-        self.send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
+        self.send(companion_heartbeat(mavlink.MAV_STATE_ACTIVE))
 
     def tell(self, severity: int, text: str) -> None:
         """Tell a text."""
@@ -143,9 +127,8 @@ class RealClients:
         """Say something as the search; nothing before the autopilot is known, whose system id it has."""
         if not self.system or not messages:
             return
-        if self._spoke_as != self.system:
-            self._spoke_as, self._codec = self.system, Codec(self.system, SEARCH)
-        self._pass_on([self._codec.pack(message) for message in messages])
+        codec = self._codec = self._codec or Codec(self.system, SEARCH)
+        self._pass_on([codec.pack(message) for message in messages])
 
     def _pass_on(self, frames: Sequence[bytes]) -> None:
         self._bus.publish(MAVLINK_OUT, b"".join(frames))
@@ -162,8 +145,9 @@ class RealClients:
             self._hear(frame, "through a bridge" if arrival.attachment == BRIDGED else "on the bus")
 
     def _hear(self, frame: Frame, whence: str) -> None:
-        """Hand a client's frame on to the autopilot, if it is for that; the search's own commands are
-        obeyed here.
+        """Hand a client's frame on to the autopilot, if it is for that.
+
+        The search's own commands are obeyed here.
         """
         system, tally = self.system, self._handling.log.tally
         target_system, target_component = frame.target
@@ -172,12 +156,12 @@ class RealClients:
         if frame.system == system and frame.component in (AUTOPILOT, SEARCH):
             tally.refuse(POSED)
         elif frame.message_id == SETUP_SIGNING:  # a key from a safe link must not leave by another one
-            tally.refuse(KEYS)
+            tally.refuse(WITH_KEY)
         elif target_system and target_component == SEARCH:
-            if frame.message_id in COMMANDS:
+            if frame.message_id in COMMAND_IDS:
                 with contextlib.suppress(mavlink.MAVError):
                     self._obey(mavlink.MAVLink(None).decode(bytearray(frame.data)), whence)
-        elif frame.message_id in SETPOINTS and self._search.leads:
+        elif frame.message_id in SETPOINT_IDS and self._search.leads:
             self.refuse(
                 denied("Setpoint refused: the search leads, HOLD stops it", "not leading"),
                 self._clock.now_s(),
@@ -202,7 +186,9 @@ class RealClients:
     def operate(self, name: CommandName) -> None:
         """Obey a word of the script's operator."""
         self._say(
-            self._words.reason(self._search.obey(name, self._vehicle.now_s, named(OPERATOR, "in the script")))
+            self._words.reason(
+                self._search.obey(name, self._vehicle.now_s, named(OPERATOR_IDS, "in the script"))
+            )
         )
 
     def _say(self, answers: Sequence[Message]) -> None:
@@ -211,13 +197,28 @@ class RealClients:
         self.send(*answers)
 
     def end(self, say: Callable[[int, str], None]) -> None:
-        """Leave the vehicle to someone, and close the links."""
-        leave(self._vehicle, self._clock, say)
+        """See to it that a vehicle in the air has someone in charge, for at most `LEAVE_S`; close the links.
+
+        Call it where no signal can cut it short (`link.interrupts.uninterrupted`).
+        """
+        vehicle, until_s, told = self._vehicle, time.monotonic() + LEAVE_S, False
+        while True:
+            with contextlib.suppress(Exception):  # whatever fails, the way home is asked for again
+                if (said := vehicle.leave()) and not told:
+                    told = True
+                    say(mavlink.MAV_SEVERITY_WARNING, said)
+            with contextlib.suppress(Exception):
+                vehicle.catch_up(self._clock.now_s())
+            if vehicle.left or time.monotonic() >= until_s:
+                break
+            time.sleep(LEAVE_POLL_S)
+        if not vehicle.left:
+            say(mavlink.MAV_SEVERITY_CRITICAL, "The vehicle has not answered: its keeper goes on")
         self._outs.close()
 
 
 def _changes(frame: Frame) -> bool:
     """Whether a change of the flight mode may come of a frame."""
-    if frame.message_id not in COMMANDS:
+    if frame.message_id not in COMMAND_IDS:
         return bool(frame.message_id == mavlink.MAVLINK_MSG_ID_SET_MODE)
-    return fields_of(frame)["command"] in CHANGES
+    return fields_of(frame)["command"] in MODE_COMMANDS

@@ -8,17 +8,16 @@ from collections.abc import Collection
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.config import AircraftConfig
 from aircraft.remote.commander import Steps
 from aircraft.remote.procedures import ENDED, Procedures
 from aircraft.remote.safety import ASKED, Check, Verdict, checks
-from aircraft.state import LOW_BATTERY, VehicleFailed
+from aircraft.state import LOW_BATTERY, AircraftConfig, VehicleFailed
 
 READY_S = 3.0  # the battery, and whether it would arm, are waited for this long once its place is known
 REFUSED_S = 10.0  # a refusal to arm comes with warnings, which are told for this long
 SYS_STATUS = mavlink.MAVLINK_MSG_ID_SYS_STATUS
 UNANSWERED = "the payload has not answered yet whether it measures the wind"
-READING = "its parameters are being read"
+STILL_READING = "its parameters are being read"
 WAITING = "Waiting for the autopilot: "
 
 
@@ -37,7 +36,7 @@ class Preflight:
         self._flight, self._known, self._config = flight, flight.known, config
         self._wait_s, self._launched = wait_s, launched
         self._since_s = 0.0
-        self._steps: Steps[None] | None = None
+        self._steps = self._read()
         self._wind: Check | None = None
         self._known_all = self._told = False
 
@@ -52,7 +51,7 @@ class Preflight:
         if missing := known.missing(flight.now_s):
             return missing
         if not self._known_all:
-            return READING
+            return STILL_READING
         if (battery := self._battery).verdict is Verdict.FORBIDS:
             return f"battery: {battery.text}"
         return self._pilot
@@ -60,7 +59,6 @@ class Preflight:
     def look(self) -> None:
         """Go on reading what the list needs."""
         if self._flight.commander.system and not self._known_all:
-            self._steps = self._steps or self._read()
             self._known_all = next(self._steps, ENDED) is ENDED
 
     def take_wind(self, check: Check) -> None:
@@ -81,7 +79,7 @@ class Preflight:
             return self.missing or ("" if self._wind else UNANSWERED)
         if self._wind:
             self._tell()
-            return READING
+            return STILL_READING
         return UNANSWERED
 
     def _read(self) -> Steps[None]:
@@ -121,7 +119,6 @@ class Preflight:
     # ---- the list ----
 
     def _tell(self) -> None:
-        """Tell the list, once."""
         lines, self._told = [] if self._told else self._checks(), True
         for line in lines:
             ok = line.verdict is Verdict.OK
@@ -151,11 +148,13 @@ class Preflight:
     @property
     def _pilot(self) -> str:
         """Whose choice of mode on the ground is waited for; empty if nobody's."""
-        known, start = self._known, self._flight.start
+        known, start = self._known, self._known.firmware.modes[self._flight.start]
         if not self._flight.taken_over or known.custom_mode == start:
             return ""
-        gives = known.firmware.mode_name(start)
-        return f"a pilot has chosen {known.mode_name}; {gives} gives the vehicle to the search"
+        return (
+            f"a pilot has chosen {known.mode_name}; {known.firmware.mode_name(start)} gives the vehicle to "
+            "the search"
+        )
 
     @property
     def _battery(self) -> Check:

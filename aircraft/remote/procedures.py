@@ -4,15 +4,15 @@ One procedure runs at a time, resumed at each poll.
 """
 
 import math
+from collections import deque
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.firmware import COMING_DOWN
 from aircraft.operator import NO_ANSWER
-from aircraft.remote.arrival import Targets
 from aircraft.remote.commander import Commander, Steps
 from aircraft.remote.known import Known
-from aircraft.state import Led, Result, Said
+from aircraft.state import Ned, Result, Said, TakenOver
 from link.modes import Mode
 
 ARMING_S, ARM_AGAIN_S = 60.0, 3.0  # a refused arming is tried again every ARM_AGAIN_S, for at most ARMING_S
@@ -23,36 +23,76 @@ NEAR_TAKEOFF_M = 0.5  # a take-off has ended this near to its altitude
 WARM_UP_S = 1.5  # setpoints stream for this long before OFFBOARD is asked for; PX4 wants a second
 MODE_TRIES = 5
 AGAIN_S = 1.0
+# A change this soon after a client has asked for one is the client's: a HEARTBEAT comes once a second.
 ASKED_S = 3.0
-"""A change this soon after a client has asked for one is the client's: a HEARTBEAT comes once a second."""
 ENDED = object()
+SAME_M = 0.1  # targets this near to each other are the same
+KEPT = 4  # this many of our latest targets may still be read back: a radio link is slow
+
+
+class Targets:
+    """Whose target an autopilot flies to, as far as it reads back.
+
+    Positions NED, m from the EKF's origin; None is no position.
+
+    What it reads back is foreign if it is neither one of ours nor what it was before: a target of ours
+    that the autopilot does not take leaves the one before, and a take-off reads back whatever was there
+    before it.
+    """
+
+    def __init__(self) -> None:
+        self._ours: deque[Ned] = deque(maxlen=KEPT)
+        self._read: Ned | None = None
+        self._fresh = True
+
+    def send(self, target: Ned) -> None:
+        """Note that this target of ours is sent."""
+        if not self._ours or self._ours[-1] != target:
+            self._ours.append(target)
+
+    def begin(self) -> None:
+        """Take whatever is read back next for what was there before.
+
+        The mode has changed, or the vehicle stands.
+        """
+        self._fresh = True
+
+    def takes(self, target: Ned | None) -> bool:
+        """Take what the autopilot reads back; returns False if it is foreign."""
+        before, fresh = self._read, self._fresh
+        self._read, self._fresh = target, False
+        return fresh or _same(target, before) or any(_same(target, one) for one in self._ours)
+
+    def has(self, target: Ned) -> bool:
+        """Whether the autopilot has read back this target last."""
+        return not self._fresh and _same(self._read, target)
+
+
+def _same(one: Ned | None, other: Ned | None) -> bool:
+    return one is other if one is None or other is None else math.dist(one, other) <= SAME_M
 
 
 class Procedures:
     """The procedures of one vehicle. Times in s of its clock, heights in m above home."""
 
     def __init__(self, commander: Commander) -> None:
-        """Begin with nothing to do."""
         self.commander = commander
         self.known: Known = commander.known
-        self.events: list[Said | Led] = []  # what people are told
+        self.events: list[Said | TakenOver] = []  # what people are told
         self.failure = ""  # why the mission has failed, once it has
         self.targets = Targets()
         self.procedure: Steps[None] | None = None  # what is being done, until it ends
+        # The mode of the search that a procedure is about to reach; None if none runs.
         self.doing: Mode | None = None
-        """The mode of the search that a procedure is about to reach; None if none runs."""
         self.arming = False
         self.streams = False  # whether setpoints are to go out
+        # Whether we have begun this flight: one that was under way before us, or begins after ours, is
+        # someone else's.
         self.begun = False
-        """Whether we have begun this flight: one that was under way before us, or begins after ours, is
-        someone else's.
-        """
         self.armed_by_us = False
+        # Whether someone else has changed the mode or the target: a pilot, or the autopilot by itself. A
+        # flight of theirs that ends in RTL, LAND or BRAKE leaves a free vehicle.
         self.taken_over = False
-        """Whether someone else has changed the mode or the target: a pilot, or the autopilot by itself.
-
-        A flight of theirs that ends in RTL, LAND or BRAKE leaves a free vehicle.
-        """
         self.taken_s = -math.inf  # when someone else last changed it so
         self.taken_from_us = False  # whether it was ours before that
         self.taken_by_client = False  # whether a client of ours had asked for it
@@ -75,10 +115,9 @@ class Procedures:
         return self.begun and not self.taken_over
 
     @property
-    def start(self) -> int:
-        """The custom mode in which it is armed."""
-        firmware = self.known.firmware
-        return firmware.modes[Mode.OFFBOARD if firmware.is_ardupilot else Mode.HOLD]
+    def start(self) -> Mode:
+        """The mode in which it is armed."""
+        return Mode.OFFBOARD if self.known.firmware.is_ardupilot else Mode.HOLD
 
     @property
     def guided(self) -> int:
@@ -134,7 +173,6 @@ class Procedures:
     # ---- who leads ----
 
     def _watch_mode(self) -> None:
-        """See who has changed the mode."""
         known = self.known
         mode, before, self._mode = known.custom_mode, self._mode, known.custom_mode
         landed, self._was_armed = self._was_armed and not known.armed, known.armed
@@ -154,10 +192,10 @@ class Procedures:
             self.taken_over = False
 
     def _watch_target(self) -> None:
-        """See whether the autopilot flies to someone else's target: in GUIDED a ground station's go-to
-        changes no mode.
+        """See whether the autopilot flies to someone else's target.
 
-        PX4 changes its mode for a go-to. What streams setpoints beside us is not told apart there.
+        In GUIDED a ground station's go-to changes no mode. PX4 changes its mode for one; what streams
+        setpoints beside us is not told apart there.
         """
         known = self.known
         came_s = known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)
@@ -176,11 +214,12 @@ class Procedures:
         self.taken_from_us, self.taken_by_client = self.in_charge, asked
         self.taken_over, self.taken_s, self.streams = True, self.now_s, False
         self._stop()
-        self.events.append(Led(self.now_s, how, self._client if asked else ""))
+        self.events.append(TakenOver(self.now_s, how, self._client if asked else ""))
 
     def asked_by(self, client: str) -> None:
-        """Note that a client's command goes to the autopilot through us: what changes soon after it, the
-        client has changed.
+        """Note that a client's command goes to the autopilot through us.
+
+        What changes soon after it, the client has changed.
         """
         self._client, self._client_s = client, self.now_s
 
@@ -200,7 +239,7 @@ class Procedures:
         self._stop()
         if self.known.flying and self.in_charge:
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "Returning home")
-            self.go_home()
+            self.enter(Mode.RETURN)
         elif self.known.armed and not self.known.flying:
             self.commander.send(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
 
@@ -208,13 +247,13 @@ class Procedures:
         """Give the mission up, and land on the spot: there is no position to return by."""
         self.failure = self.failure or reason
         self.say(mavlink.MAV_SEVERITY_CRITICAL, f"{self.failure}: landing")
-        self.land()
+        self.enter(Mode.LAND)
 
     # ---- procedures ----
 
     def arm(self) -> None:
         """Arm, in the mode from which it takes off."""
-        self.begin(self._arm(), None, {self.start})
+        self.begin(self._arm(), None, self._numbers(self.start))
         self.arming = True
 
     def _arm(self) -> Steps[None]:
@@ -243,84 +282,79 @@ class Procedures:
 
         PX4 takes one above sea, and NaN for what it shall not change.
         """
-        known, armed_s = self.known, self.now_s
-        self.commander.send(mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HOME_POSITION))
-        yield from self.commander.until(
-            lambda: known.home_s > armed_s, self.commander.patient(HOME_S)
-        )  # arming sets home anew
+        known, armed_s, home = self.known, self.now_s, mavlink.MAVLINK_MSG_ID_HOME_POSITION
+        self.commander.send(mavlink.MAV_CMD_REQUEST_MESSAGE, float(home))
+        yield from self.commander.until(  # arming sets home anew
+            lambda: known.came_s.get(home, -math.inf) > armed_s, self.commander.patient(HOME_S)
+        )
         home_m = known.to_home()[2]
         assert known.home
-        above_sea_m = altitude_m + known.home[2]
-        unset, above = (0.0, altitude_m) if known.firmware.is_ardupilot else (math.nan, above_sea_m)
+        unset, above = (
+            (0.0, altitude_m) if known.firmware.is_ardupilot else (math.nan, altitude_m + known.home[2])
+        )
         climb = (mavlink.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, unset, unset, unset, above)
         result = yield from self.commander.command(*climb, seen=lambda: known.flying, within_s=LIFT_OFF_S)
         if not result.accepted:
-            stopped = "Take-off failed: the motors have stopped"
-            self.fail(f"Take-off refused: {result.reason}" if known.armed else stopped)
+            self.fail(
+                f"Take-off refused: {result.reason}"
+                if known.armed
+                else "Take-off failed: the motors have stopped"
+            )
             return
 
         def height_m() -> float:
             return home_m - known.position[2]
 
-        most_s = altitude_m / SLOWEST_CLIMB_MPS + CLIMB_GRACE_S
         there = yield from self.commander.until(
-            lambda: height_m() >= altitude_m - NEAR_TAKEOFF_M or not known.armed, most_s
+            lambda: height_m() >= altitude_m - NEAR_TAKEOFF_M or not known.armed,
+            altitude_m / SLOWEST_CLIMB_MPS + CLIMB_GRACE_S,
         )
         if not there or not known.armed:
             self.fail(f"Take-off failed: {height_m():.1f} m reached of {altitude_m:g} m")
 
-    def fly(self) -> None:
-        """Follow the setpoints, which stream from now on."""
-        self.begin(self._fly(), Mode.OFFBOARD, {self.guided})
-        self.streams = True
-
-    def _fly(self) -> Steps[None]:
-        if not self.known.firmware.is_ardupilot:
-            yield from self.commander.wait(self.commander.patient(WARM_UP_S))
-        if refused := (yield from self._insist(self.guided)):
-            self.fail(refused)
-
-    def hold(self) -> None:
-        """Stop and stay."""
-        self.begin(self._hold(), Mode.HOLD, self._numbers(Mode.HOLD))
-
-    def _hold(self) -> Steps[None]:
-        if refused := (yield from self._insist(self.known.firmware.modes[Mode.HOLD])):
-            self.say(mavlink.MAV_SEVERITY_WARNING, refused)
-
-    def go_home(self) -> None:
-        """Return and land."""
-        self.begin(self._until_down(Mode.RETURN), Mode.RETURN, self._numbers(*COMING_DOWN))
-
-    def land(self) -> None:
-        """Land on the spot."""
-        self.begin(self._until_down(Mode.LAND), Mode.LAND, self._numbers(*COMING_DOWN))
+    def enter(self, mode: Mode) -> None:
+        """Follow the setpoints, which stream from now on (OFFBOARD); stay (HOLD); or come down."""
+        comes_down = mode in COMING_DOWN
+        procedure = self._until_down(mode) if comes_down else self._reach(mode)
+        self.begin(procedure, mode, self._numbers(*COMING_DOWN) if comes_down else self._numbers(mode))
+        self.streams = mode is Mode.OFFBOARD
 
     def _until_down(self, mode: Mode) -> Steps[None]:
         """Insist for ever: nobody else is in charge. A return that is refused becomes a landing."""
-        modes = self.known.firmware.modes
         while True:
-            result = yield from self._change(modes[mode])
+            result = yield from self._change(mode)
             if not result.accepted and mode is Mode.RETURN and result.reason != NO_ANSWER:
                 self.say_once(mavlink.MAV_SEVERITY_CRITICAL, f"Return refused: {result.reason}; landing")
-                result = yield from self._change(modes[Mode.LAND])
+                result = yield from self._change(Mode.LAND)
             if result.accepted or not self.known.armed:
                 return
             yield from self.commander.wait(AGAIN_S)
 
-    def _insist(self, mode: int) -> Steps[str]:
-        """Ask for a mode MODE_TRIES times; returns that it is refused, and why, if it is."""
+    def _reach(self, mode: Mode) -> Steps[None]:
+        """Insist on a mode that stays in the air, MODE_TRIES times; the search cannot do without OFFBOARD."""
+        if mode is Mode.OFFBOARD and not self.known.firmware.is_ardupilot:
+            yield from self.commander.wait(self.commander.patient(WARM_UP_S))
         for _ in range(MODE_TRIES):
             result = yield from self._change(mode)
             if result.accepted:
-                return ""
+                return
             yield from self.commander.wait(AGAIN_S)
-        return f"{self.known.firmware.mode_name(mode)} refused: {result.reason}"
+        name = self.known.firmware.mode_name(self.known.firmware.modes[mode])
+        refused = f"{name} refused: {result.reason}"
+        if mode is Mode.OFFBOARD:
+            self.fail(refused)
+        else:
+            self.say(mavlink.MAV_SEVERITY_WARNING, refused)
 
-    def _change(self, mode: int) -> Steps[Result]:
-        known, number = self.known, mavlink.MAV_CMD_DO_SET_MODE
-        params = known.firmware.params(mode)
-        return (yield from self.commander.command(number, *params, seen=lambda: known.custom_mode == mode))
+    def _change(self, mode: Mode) -> Steps[Result]:
+        known, number = self.known, self.known.firmware.modes[mode]
+        return (
+            yield from self.commander.command(
+                mavlink.MAV_CMD_DO_SET_MODE,
+                *known.firmware.params(number),
+                seen=lambda: known.custom_mode == number,
+            )
+        )
 
     def _numbers(self, *modes: Mode) -> set[int]:
         return {self.known.firmware.modes[mode] for mode in modes}

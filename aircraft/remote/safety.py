@@ -10,13 +10,14 @@ from typing import NamedTuple
 
 from aircraft.firmware import Firmware
 
-ESTIMATES = {
+# The parameters by which a multirotor's EKF estimates the wind in flight, from its drag; it does if any of
+# them is set.
+DRAG_PARAMETERS = {
     "ArduCopter": ("EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y", "EK3_DRAG_MCOEF"),
     "PX4": ("EKF2_DRAG_CTRL",),
 }
-"""The parameters by which a multirotor's EKF estimates the wind in flight, from its drag; it does if any
-of them is set.
-"""
+# The parameters to read. ArduPilot 4.7 calls SYSID_MYGCS MAV_GCS_SYSID, and up to MAV_GCS_SYSID_HI all are
+# ground stations.
 ASKED = {
     "ArduCopter": (
         "FS_GCS_ENABLE",
@@ -28,7 +29,7 @@ ASKED = {
         "FENCE_TYPE",
         "FENCE_RADIUS",
         "FENCE_ALT_MAX",
-        *ESTIMATES["ArduCopter"],
+        *DRAG_PARAMETERS["ArduCopter"],
     ),
     "PX4": (
         "COM_OF_LOSS_T",
@@ -39,12 +40,10 @@ ASKED = {
         "GF_ACTION",
         "GF_MAX_HOR_DIST",
         "GF_MAX_VER_DIST",
-        *ESTIMATES["PX4"],
+        *DRAG_PARAMETERS["PX4"],
     ),
 }
-"""The parameters to read. ArduPilot 4.7 calls SYSID_MYGCS MAV_GCS_SYSID, and up to MAV_GCS_SYSID_HI all
-are ground stations.
-"""
+# What COM_OBL_RC_ACT chooses. A mode that a pilot flies becomes RETURN without one.
 OFFBOARD_LOSS = (
     "POSITION, without a pilot to RETURN",
     "ALTITUDE, without a pilot to RETURN",
@@ -55,8 +54,8 @@ OFFBOARD_LOSS = (
     "TERMINATE",
     "DISARM",
 )
-"""What COM_OBL_RC_ACT chooses. A mode that a pilot flies becomes RETURN without one."""
 OFFBOARD_EXCEPTED = 4  # bit of COM_RCL_EXCEPT
+# What each parameter chooses; 0 is nothing.
 LOW_BATTERY_ACTIONS = {
     "BATT_FS_LOW_ACT": {
         1: "LAND",
@@ -69,7 +68,6 @@ LOW_BATTERY_ACTIONS = {
     },
     "COM_LOW_BAT_ACT": {1: "RETURN", 2: "LAND", 3: "RETURN, and LAND when it is nearly empty"},
 }
-"""What each parameter chooses; 0 is nothing."""
 FENCE_ALTITUDE, FENCE_CIRCLE = 1, 2  # bits of FENCE_TYPE
 
 
@@ -96,8 +94,9 @@ class Check(NamedTuple):
 def checks(
     firmware: Firmware, parameters: Mapping[str, float], system: int, side_m: float, height_m: float
 ) -> list[Check]:
-    """Return what the parameters say of a flight by a companion of a system, over an area of this side, at
-    this height.
+    """Return what the parameters say of a flight over an area of this side, at this height.
+
+    system: the companion's.
     """
     lost = (
         [_if_killed_arducopter(parameters, system)] if firmware.is_ardupilot else _if_killed_px4(parameters)

@@ -1,74 +1,83 @@
 """The gas sensor of a real vehicle: its payload, which is asked over the bus."""
 
+import math
+import time
 from collections.abc import Collection
-
-from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.aircraft import GasSensor, Measured
 from aircraft.operator import SEARCH
-from aircraft.payload.asking import Asking
+from aircraft.payload.messages import pack_question, unpack_answer
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.remote.winds import Winds
-from aircraft.search.speaker import Speaker
 from aircraft.state import Arrived, Ned
-from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT
+from link.bus.backoff import Backoff
+from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.mavlink import Codec
 from link.bus.session import Bus
 
 
 class AskedSensor(GasSensor):
-    """Asks the payload at each waypoint; and on the ground, whether it measures the wind."""
+    """Asks the payload at each waypoint; and on the ground, whether it measures the wind.
+
+    One question is open at a time. It is asked again until it is answered: question or answer may be lost,
+    doubled or late, and the payload may start again.
+    """
 
     services = GasSensor.services | {"payload"}
     keys = (PAYLOAD_OUT,)
 
-    def __init__(self, vehicle: RemoteVehicle, bus: Bus, winds: Winds, say: Speaker) -> None:
-        """Take the vehicle, the bus that the payload is on, and where the wind of the readings comes from."""
-        self._vehicle, self._winds, self._say = vehicle, winds, say
-        self._asking = Asking(lambda question: bus.publish(PAYLOAD_IN, question), Codec(0, SEARCH))
+    def __init__(self, vehicle: RemoteVehicle, bus: Bus, winds: Winds) -> None:
+        self._vehicle, self._bus, self._winds = vehicle, bus, winds
+        self._codec = Codec(0, SEARCH)
+        self._open: tuple[int, bytes] | None = None  # time_boot_ms of the question, and its frames
+        self._repeating = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
         self._arrived: Arrived | None = None
 
     def prepare(self, waits_for: str, absent: Collection[str]) -> None:
         """Ask whether the payload measures the wind: before that is known there is no flight."""
         vehicle = self._vehicle
-        undecided = self._winds.source is None and not self._asking.waiting
+        undecided = self._winds.source is None and self._open is None
         if undecided and vehicle.preflight.has_read and not absent:
-            self._asking.codec = Codec(vehicle.system, SEARCH)
-            self._ask(round(vehicle.now_s * 1000), 0, vehicle.position)
+            self._codec = Codec(vehicle.system, SEARCH)
+            self._ask(round(vehicle.now_s * 1000), 0, vehicle.flight.known.place)
         vehicle.preflight.bound(waits_for, absent)
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> None:
-        """Ask for reading `number`."""
+        """Ask for reading `number`. An open question is replaced: its answer no longer counts."""
         self._arrived = arrived
         self._ask(time_boot_ms, number, arrived.position)
 
     def _ask(self, time_boot_ms: int, number: int, position: Ned) -> None:
-        self._asking.ask(time_boot_ms, number, position, self._winds.asked(self._vehicle.wind))
+        wind = self._winds.given or self._vehicle.wind
+        question = pack_question(self._codec, time_boot_ms, number, position, wind)
+        self._open = time_boot_ms, question
+        self._repeating.tried(time.monotonic())
+        self._bus.publish(PAYLOAD_IN, question)
 
     def take(self, payload: bytes, wanted: bool) -> Measured | None:
-        """Take the payload's answer, unless the vehicle has been led away or its position is in doubt."""
-        sample = self._asking.receive(payload)
-        if sample is None:
+        """Take the payload's answer, unless the vehicle has been led away or its position is in doubt.
+
+        Raises BadFrame.
+        """
+        sample = unpack_answer(payload)
+        if self._open is None or sample.time_boot_ms != self._open[0]:
             return None
-        vehicle, winds, measured = self._vehicle, self._winds, None
-        arrived, self._arrived = self._arrived, None
+        vehicle, winds, known = self._vehicle, self._winds, self._vehicle.flight.known
+        arrived, self._arrived, self._open = self._arrived, None, None
         if winds.source is None:
-            known = vehicle.flight.known
             check = winds.before(sample.wind, vehicle.wind, known.parameters, known.firmware.name)
             vehicle.preflight.take_wind(check)
-        elif arrived and wanted and vehicle.doubtful:
-            vehicle.arrive_again()
+        elif arrived and wanted and known.glitches.lasts(vehicle.now_s):
+            vehicle.course.again()
         elif arrived and wanted:
-            measured = Measured(arrived, sample.gas, winds.of(sample.wind, vehicle.wind))
-        for text in winds.news:
-            self._say(mavlink.MAV_SEVERITY_WARNING, text)
-        winds.news.clear()
-        return measured
+            return Measured(arrived, sample.gas, winds.of(sample.wind, vehicle.wind))
+        return None
 
     def go_on(self) -> None:
         """Ask again, if it is time to."""
-        self._asking.again()
+        if self._open and self._repeating.due(time.monotonic()):
+            self._bus.publish(PAYLOAD_IN, self._open[1])
 
     def next_s(self) -> float:
         """Return when to ask again, by time.monotonic()."""
-        return self._asking.next_s()
+        return self._repeating.due_s if self._open else math.inf

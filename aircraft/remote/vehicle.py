@@ -4,16 +4,15 @@ import math
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.config import AircraftConfig
 from aircraft.firmware import COMING_DOWN
-from aircraft.remote.arrival import ArrivalRule
 from aircraft.remote.commander import Commander
-from aircraft.remote.course import Course
+from aircraft.remote.course import SPEED_MPS, Course
 from aircraft.remote.preflight import WAITING, Preflight
 from aircraft.remote.procedures import Procedures
 from aircraft.remote.watch import Watch
 from aircraft.state import (
     ACCEPTED,
+    AircraftConfig,
     Arrived,
     Ned,
     Result,
@@ -29,7 +28,6 @@ from link.modes import Mode
 
 POLL_S = 0.05
 WIND_S = 5.0  # a wind that was told longer ago is not known
-ARRIVAL = ArrivalRule()
 
 
 class RemoteVehicle:
@@ -50,7 +48,6 @@ class RemoteVehicle:
         self,
         config: AircraftConfig,
         commander: Commander,
-        arrival: ArrivalRule = ARRIVAL,
         wait_s: float = math.inf,
         *,
         launched: bool = False,
@@ -68,8 +65,7 @@ class RemoteVehicle:
         self.preflight = Preflight(self.flight, config, wait_s, launched=launched)
         self._commander, self._known = commander, commander.known
         self._watch = Watch(self.flight)
-        self._course = Course(self.flight, config, arrival)
-        self._slow_mps = arrival.speed_mps
+        self.course = Course(self.flight, config)
         self._follows = False  # whether the companion's mode means OFFBOARD, not HOLD
 
     # ---- time ----
@@ -87,20 +83,21 @@ class RemoteVehicle:
             self._known.place_area()
         self.preflight.look()
         self._watch.look(t_s)
-        self._course.send()
+        self.course.send()
 
     def advance(self, t_s: float) -> list[VehicleEvent]:
         """Take what the vehicle has said; returns its texts and ours, and its arrival if there is one."""
         self.catch_up(t_s)
         name, events = self._known.firmware.name, list[VehicleEvent](self.flight.events)
-        for severity, text in self._known.texts:
-            events.append(Said(self.now_s, severity, f"{name}: {text}", heard=True))
+        events += [
+            Said(self.now_s, severity, f"{name}: {text}", heard=True) for severity, text in self._known.texts
+        ]
         self._known.texts.clear()
         self.flight.events.clear()
         if self._flies_course:
-            if arrived := self._course.look():
+            if arrived := self.course.look():
                 events.append(arrived)
-        elif self.mode is Mode.OFFBOARD and self.now_s - self._course.heard_s > self.config.silence_s:
+        elif self.mode is Mode.OFFBOARD and self.now_s - self.course.heard_s > self.config.silence_s:
             self.flight.fail(f"No waypoint for {self.config.silence_s / self._commander.speedup:g} s")
         return events
 
@@ -119,23 +116,20 @@ class RemoteVehicle:
         if self.flight.doing:
             return self.flight.doing
         mode = self._known.reported if self._known.armed else None
-        led = self.flight.taken_over or not self._follows
-        return Mode.HOLD if mode is None or (mode is Mode.OFFBOARD and led) else mode
+        follows = self._follows and not self.flight.taken_over
+        return Mode.HOLD if mode is None or (mode is Mode.OFFBOARD and not follows) else mode
 
     @property
     def _flies_course(self) -> bool:
-        flies = self.mode is Mode.OFFBOARD and self.flight.doing is None and self._known.flying
-        return flies and self._course.under_way
+        follows = self.mode is Mode.OFFBOARD and self.flight.doing is None
+        return follows and self._known.flying and self.course.approach is not None
 
     @property
     def moving(self) -> bool:
         """True while it flies to a setpoint, or is armed and not at rest."""
-        return self.armed and (self._flies_course or math.hypot(*self._known.velocity) > self._slow_mps)
+        return self.armed and (self._flies_course or math.hypot(*self._known.velocity) > SPEED_MPS)
 
-    @property
-    def busy(self) -> bool:
-        """True while it moves: there is nothing else that it would do by itself."""
-        return self.moving
+    busy = moving  # there is nothing else that it would do by itself
 
     @property
     def free(self) -> bool:
@@ -153,14 +147,9 @@ class RemoteVehicle:
         return self._commander.system
 
     @property
-    def position(self) -> Ned:
-        """Where it says it is, as float32."""
-        return self._known.place
-
-    @property
     def waypoint(self) -> Ned | None:
         """The last accepted setpoint; None before the first."""
-        return self._course.waypoint
+        return self.course.waypoint
 
     @property
     def wind(self) -> tuple[float, float] | None:
@@ -179,18 +168,13 @@ class RemoteVehicle:
         return self.flight.failure
 
     @property
-    def doubtful(self) -> bool:
-        """Whether its position cannot be trusted now, because of a GPS glitch."""
-        return self._known.glitches.lasts(self.now_s)
-
-    @property
     def caveat(self) -> str:
         """What its readings have to be read with, because of GPS glitches; empty if there was none."""
         return self._known.glitches.caveat
 
     def still(self, arrived: Arrived) -> Arrived:
         """Return the arrival as it is now: where it has drifted to since."""
-        return Arrived(self.now_s, self.position, self._known.position_ms)
+        return Arrived(self.now_s, self._known.place, self._known.position_ms)
 
     # ---- commands: each is begun, not waited for ----
 
@@ -232,12 +216,7 @@ class RemoteVehicle:
         if mode is Mode.OFFBOARD and self.waypoint is None:
             return not_now("Offboard refused: no setpoint received yet")
         self._follows = mode is Mode.OFFBOARD
-        {
-            Mode.OFFBOARD: self.flight.fly,
-            Mode.HOLD: self.flight.hold,
-            Mode.RETURN: self.flight.go_home,
-            Mode.LAND: self.flight.land,
-        }[mode]()
+        self.flight.enter(mode)
         return ACCEPTED
 
     def setpoint(self, t_s: float, wanted: Ned, *, answers: bool = False) -> Result:
@@ -245,13 +224,7 @@ class RemoteVehicle:
 
         The yaw is the autopilot's.
         """
-        return self._course.begin(wanted, answers=answers) or ACCEPTED
-
-    def arrive_again(self) -> None:
-        """Let the next arrival be at the same waypoint, once the position can be trusted: a reading was in
-        vain.
-        """
-        self._course.again()
+        return self.course.begin(wanted, answers=answers) or ACCEPTED
 
     # ---- what its clients say and hear ----
 
@@ -284,14 +257,14 @@ class RemoteVehicle:
         if self.left:
             return f"The vehicle is left in {self._known.mode_name}"
         if self.flight.doing not in COMING_DOWN:
-            self.flight.go_home()
+            self.flight.enter(Mode.RETURN)
             self.flight.go_on()  # at once: `catch_up` may fail
         return "The vehicle is told to return home"
 
     @property
     def left(self) -> bool:
-        """Whether someone else is in charge of it: a pilot, or the autopilot, which returns or lands by
-        itself.
+        """Whether someone else is in charge of it.
+
+        This is a pilot, or the autopilot, which returns or lands by itself.
         """
-        in_charge = self._known.flying and self.flight.in_charge
-        return not in_charge or self._known.reported in COMING_DOWN
+        return not (self._known.flying and self.flight.in_charge) or self._known.reported in COMING_DOWN

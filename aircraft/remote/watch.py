@@ -14,10 +14,9 @@ from aircraft.state import LOW_BATTERY, VehicleFailed
 GIVEN_UP_S = 60.0  # a link that is lost for longer is given up
 UNKNOWN_S = 1.0  # a position that is unknown for longer is told
 BLIND_S = 10.0  # a vehicle that hovers without a position for longer, and does nothing about it, is landed
+# A glitch that lasts for longer ends the search; one that ArduPilot takes for the truth for half a minute
+# lasts for one.
 GLITCHES_S = 120.0
-"""A glitch that lasts for longer ends the search; one that ArduPilot takes for the truth for half a
-minute lasts for one.
-"""
 SAME_TIME_S = 3.0  # a failsafe's words, its state and its change of mode come within this time
 CRITICAL, WARNING = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING
 
@@ -26,7 +25,6 @@ class Watch:
     """Watches a flight. Times in s."""
 
     def __init__(self, flight: Procedures) -> None:
-        """Begin without a trouble."""
         self._flight, self._known = flight, flight.known
         self._lost_since_s = self._blind_since_s = math.inf
         self._blind = self._drained = False

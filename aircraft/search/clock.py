@@ -11,7 +11,6 @@ class Clock:
     """
 
     def __init__(self, speedup: float) -> None:
-        """Start at time 0."""
         self.speedup = speedup
         self._began = time.monotonic()
         self._jumped_s = 0.0
@@ -30,8 +29,9 @@ class Clock:
         self._idle_since = time.monotonic()
 
     def jump(self, moving: bool, next_event_s: float | None) -> None:
-        """At speed-up 0, jump to the next event: at once if the vehicle moves, else after an equal real
-        time without a setpoint.
+        """At speed-up 0, jump to the next event.
+
+        At once if the vehicle moves, else after an equal real time without a setpoint.
         """
         if next_event_s is None:
             return

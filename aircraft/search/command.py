@@ -10,8 +10,7 @@ from aircraft.bridge.address import parse_out
 from aircraft.search.clock import Clock
 from aircraft.search.events import OnBoard
 from aircraft.search.search import AfterStop
-from aircraft.search.speaker import Speaker
-from aircraft.search.uav import Equipment, Uav
+from aircraft.search.uav import Equipment, Speaker, Uav
 from aircraft.state import VehicleFailed
 from link import cli
 from link.bus.inbox import Inbox
@@ -76,8 +75,8 @@ def fly(args: argparse.Namespace, orders: Orders, make: Make) -> int:
             with given_by("--sign"):
                 signing = stack.enter_context(contextlib.closing(Signing(args.sign, f"uav-{sysid}", log)))
         with given_by("--out"):
-            clock, urls = Clock(orders.speedup), [out.text for out in outs]
-            uav = make(Equipment(clock, inbox, bus, Speaker(log), urls, signing), stack)
+            urls = [out.text for out in outs]
+            uav = make(Equipment(Clock(orders.speedup), inbox, bus, Speaker(log), urls, signing), stack)
         for out in outs:
             log.info(f"MAVLink to {out.text}; {out.other_side}")
             if (risk := out.risk("command the vehicle")) and not args.sign:

@@ -1,6 +1,10 @@
-"""Events of a mission that happen on board: faults of sensor and radio, the operator's words, the wind."""
+"""Events of a mission on board, and when: faults of sensor and radio, the operator's words, the wind."""
 
+import heapq
+import itertools
 import math
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Annotated
 
 import msgspec
@@ -8,8 +12,7 @@ from msgspec import Meta
 
 from plume.parameters import LIMITS, MOST
 
-LOW_U, HIGH_U = LIMITS["u"]
-WindSpeed = Annotated[float, Meta(ge=LOW_U, le=HIGH_U)]
+WindSpeed = Annotated[float, Meta(ge=LIMITS["u"][0], le=LIMITS["u"][1])]
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 StepNumber = Annotated[
     int, Meta(ge=0, description="a whole number from 0: number of the reading, 0 at the start")
@@ -113,3 +116,48 @@ class Land(ScriptEvent, frozen=True, tag="land"):
 
 # Events that the UAV service carries out
 OnBoard = Wind | Dropout | Stuck | Spike | Duplicate | Delay | Lose | Hold | Resume | Return | Land
+# Operator events: they happen after the reading of their step, all others before it
+BY_OPERATOR = (Hold, Return, Land)
+
+
+class Timeline:
+    """What is still to happen. Times are simulation time in s."""
+
+    def __init__(self, events: Sequence[OnBoard], perform: Callable[[OnBoard], object]) -> None:
+        """Take the events, and what carries one out. Simultaneous ones happen in this order."""
+        self._perform = perform
+        self._order = itertools.count()
+        self._timed: list[tuple[float, int, Callable[[], object]]] = []
+        self._stepped = [event for event in events if event.step is not None]
+        self._after_hold_s = [
+            event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None
+        ]
+        for event in events:
+            if event.time_s is not None:
+                self.at(event.time_s, partial(perform, event))
+
+    def at(self, time_s: float, action: Callable[[], object]) -> None:
+        """Let something happen at a time."""
+        heapq.heappush(self._timed, (time_s, next(self._order), action))
+
+    def next_s(self) -> float | None:
+        """Return the time of what happens next; None if nothing has a time."""
+        return self._timed[0][0] if self._timed else None
+
+    def go_on(self, now_s: float) -> None:
+        """Let the next thing happen, if its time has come."""
+        if self._timed and self._timed[0][0] <= now_s:
+            heapq.heappop(self._timed)[2]()
+
+    def reach(self, step: int, *, by_operator: bool) -> None:
+        """Perform the events of a step, once: the operator's follow its reading, all others precede it."""
+        due = [e for e in self._stepped if e.step == step and isinstance(e, BY_OPERATOR) is by_operator]
+        for event in due:
+            self._stepped.remove(event)
+            self._perform(event)
+
+    def held(self, now_s: float) -> None:
+        """The operator has held the vehicle: the next resume with `after_s` counts from now."""
+        if self._after_hold_s:
+            due_s = now_s + self._after_hold_s.pop(0)
+            self.at(due_s, partial(self._perform, Resume(time_s=due_s)))

@@ -16,7 +16,6 @@ class FaultySensor:
     """
 
     def __init__(self) -> None:
-        """Start without faults."""
         self._last: float | None = None
         self._silent_until_s = -math.inf
         self._stuck = 0
@@ -57,7 +56,6 @@ class FaultyRadio:
     """
 
     def __init__(self, publish: Callable[[bytes], None]) -> None:
-        """Take the function that publishes a reading."""
         self._publish = publish
         self._faults: list[tuple[int, Delay | Duplicate | Lose]] = []  # (readings left, fault)
         self._delay_s, self._copies, self._losses = 0.0, 1, 0

@@ -7,7 +7,7 @@ from aircraft.bridge.address import ALLOWED, parse_address
 from link import cli
 from plume.world import float32
 
-WANTED = (
+WANTED_WIND = (
     "SPEED,FROM: m/s from 0 to 100, and the direction that it comes from in degrees within ±360, "
     "clockwise from north"
 )
@@ -52,6 +52,6 @@ def parse_wind(text: str) -> tuple[float, float]:
     except ValueError:
         speed = from_deg = math.nan
     if not (0.0 <= speed <= 100.0 and abs(from_deg) <= 360.0):
-        raise ValueError(f"{text!r} is not allowed; wanted {WANTED}")
+        raise ValueError(f"{text!r} is not allowed; wanted {WANTED_WIND}")
     angle = math.radians(from_deg)
     return float32(speed * math.sin(angle)), float32(speed * math.cos(angle))

@@ -5,9 +5,9 @@ import time
 from functools import partial
 
 from aircraft.aircraft import Clients, GasSensor, Measured
+from aircraft.search.events import Timeline
 from aircraft.search.faults import FaultyRadio, FaultySensor
 from aircraft.search.search import Search
-from aircraft.search.timeline import Timeline
 from aircraft.state import Arrived
 from link.bus.backoff import Backoff
 from link.bus.keys import READING, RESEND_FIRST_S, RESEND_LAST_S
@@ -30,7 +30,6 @@ class Sampling:
         bus: Bus | None,
         log: Log,
     ) -> None:
-        """Begin without a reading."""
         self.faults = FaultySensor()  # what a script does to the sensor's values
         self.radio = FaultyRadio(self._publish)  # what a script does to readings on their way to the bus
         self.codec = Codec(0, 0)  # packs the readings
@@ -44,8 +43,9 @@ class Sampling:
 
     @property
     def is_wanted(self) -> bool:
-        """Whether an arrival is measured: at the search's waypoints, and everywhere by a plain vehicle,
-        which has no bus.
+        """Whether an arrival is measured.
+
+        A search measures at its waypoints, a plain vehicle, which has no bus, everywhere.
         """
         return self._search.measures or self._bus is None
 
@@ -58,7 +58,7 @@ class Sampling:
         """Measure where the vehicle came to rest, if it is to be measured there."""
         if not self.is_wanted:
             return
-        self._timeline.before(self._number)
+        self._timeline.reach(self._number, by_operator=False)
         boot_ms = self._vehicle.now_s * 1000 if arrived.boot_ms is None else arrived.boot_ms
         self._time_boot_ms = self._search.answers.time_of(boot_ms)
         if measured := self._sensor.measure(arrived, self._time_boot_ms, self._number):
@@ -95,7 +95,7 @@ class Sampling:
         if self._bus:
             self._bus.publish_health()
         self._number += 1
-        self._timeline.after(self._number - 1)
+        self._timeline.reach(self._number - 1, by_operator=True)
 
     def _try_again(self, arrived: Arrived) -> None:
         self._timeline.at(self._vehicle.now_s + TRY_AGAIN_S, partial(self._again, arrived))
@@ -122,5 +122,8 @@ class Sampling:
 
     def next_s(self) -> float:
         """Return when `go_on` has something to send, by time.monotonic()."""
-        resend_s = self._resending.due_s if self.awaits_answer else math.inf
-        return min(self.radio.next_s(), self._sensor.next_s(), resend_s)
+        return min(
+            self.radio.next_s(),
+            self._sensor.next_s(),
+            self._resending.due_s if self.awaits_answer else math.inf,
+        )

@@ -13,10 +13,9 @@ from typing import Literal
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.aircraft import Aircraft
-from aircraft.operator import BY_LAUNCHER, WANTED, CommandName
-from aircraft.search.answers import Answers
+from aircraft.operator import BY_LAUNCHER, MODES_WANTED, CommandName
 from aircraft.state import ACCEPTED, Ned, Result, denied, not_now
-from link.bus.mavlink import Message
+from link.bus.mavlink import WRAP_MS, Message, elapsed_ms
 from link.bus.messages import Stop
 from link.modes import Mode
 
@@ -29,9 +28,46 @@ STANDBY, TAKING_OFF, SEARCHING, PAUSED = "standby", "taking off", "searching", "
 RETURNING, HOLDING, LANDED = "returning", "holding", "landed"
 
 
+class Answers:
+    """The readings of one search, by their MAVLink time, and which waypoint answers them."""
+
+    def __init__(self) -> None:
+        self._readings: set[int] = set()
+        self._last_ms = -1
+        self.newest: int | None = None  # the time of the newest reading
+        self.awaited = False  # True while the newest reading is unanswered
+
+    def time_of(self, now_ms: float) -> int:
+        """Return the time_boot_ms of a reading that is about to be taken, later than that of any before."""
+        self._last_ms = max(round(now_ms), self._last_ms + 1)
+        return self._last_ms % WRAP_MS
+
+    def sampled(self, time_boot_ms: int) -> None:
+        """Note that a reading was taken. Raises ValueError unless times increase."""
+        if self.newest is not None and elapsed_ms(self.newest, time_boot_ms) <= 0:
+            raise ValueError(
+                f"reading at {time_boot_ms} ms after one at {self.newest} ms: reading times must increase"
+            )
+        self._readings.add(time_boot_ms)
+        self.newest, self.awaited = time_boot_ms, True
+
+    def refusal(self, time_boot_ms: int) -> Result | None:
+        """Return why a waypoint with this time is not the awaited answer, if so.
+
+        One that comes late or twice is only ignored.
+        """
+        if time_boot_ms not in self._readings:
+            return denied(f"Waypoint refused: no reading was taken at {time_boot_ms} ms", "no reading")
+        if time_boot_ms != self.newest or not self.awaited:
+            kind = "duplicate" if time_boot_ms == self.newest else "late"
+            return not_now(f"Waypoint ignored: {kind} answer to the reading at {time_boot_ms} ms")
+        return None
+
+
 class Search:
-    """One search by one vehicle: arm, take off, fly to the start, follow the agent's waypoints, come home;
-    or let a pilot lead.
+    """One search by one vehicle, or a pilot's flight meanwhile.
+
+    It arms, takes off, flies to the start, follows the agent's waypoints, and comes home.
     """
 
     def __init__(
@@ -71,30 +107,34 @@ class Search:
 
     @property
     def waits_for(self) -> str:
-        """Why it has not begun, or how a pilot has ended it, in words; empty if it goes on, or if only the
-        services are missing.
+        """Why it has not begun, or how a pilot has ended it, in words.
+
+        Empty if it goes on, or if only the services are missing.
         """
         return self._said if not self._begun or self.state == LANDED else ""
 
     @property
     def measures(self) -> bool:
-        """True if the vehicle's arrival is one at a waypoint of the search: only there readings are taken,
-        one at each.
+        """True if the vehicle's arrival is one at a waypoint of the search.
+
+        Only there readings are taken, one at each.
         """
         return self.leads and self.state == SEARCHING and not self.answers.awaited
 
     @property
     def wants_answers(self) -> bool:
-        """True while the search waits for the answer to its newest reading; a paused one keeps the answer
-        for later.
+        """True while the search waits for the answer to its newest reading.
+
+        A paused one keeps the answer for later.
         """
         return self.state in (SEARCHING, PAUSED) and self.answers.awaited and not self.found
 
     # ---- how it goes on ----
 
     def go_on(self, searchers: bool) -> None:
-        """Take the next step of the search where it is due; `searchers` says whether estimator and agent
-        are there.
+        """Take the next step of the search where it is due.
+
+        searchers: whether estimator and agent are there.
         """
         if self.state == LANDED:
             return
@@ -124,9 +164,10 @@ class Search:
             self._obeyed(self.vehicle.set_mode(now_s, Mode.OFFBOARD))
             self.state = SEARCHING
 
-    def led(self, mode: str, by: str) -> None:
-        """A real autopilot's mode or target was changed by a pilot, or by itself; `by`: the client who
-        asked for it, if one has.
+    def taken_over(self, mode: str, by: str) -> None:
+        """A pilot, or a real autopilot itself, has changed its mode or target.
+
+        by: the client who asked for it, if one has.
         """
         if self.under_way and self.vehicle.armed:
             pilot, returned = self._pilot, self.state == RETURNING
@@ -141,8 +182,9 @@ class Search:
         self._say(mavlink.MAV_SEVERITY_WARNING, f"{gives_way}{mode} by {by or 'the autopilot or its pilot'}")
 
     def give_back(self, by: str) -> Result:
-        """Lead a real vehicle again where the search left off, as someone wants it: no change of mode
-        gives it back.
+        """Lead a real vehicle again where the search left off, as someone wants it.
+
+        No change of mode gives it back.
         """
         if self.found or self.vehicle.failure:
             return not_now(f"Resume refused: {self.vehicle.failure or 'the source is found'}")
@@ -196,10 +238,9 @@ class Search:
 
     def _obeyed(self, result: Result) -> bool:
         if not result.accepted:
-            going_on = result.code == mavlink.MAV_RESULT_IN_PROGRESS
-            self._say_once(
-                result.reason, mavlink.MAV_SEVERITY_INFO if going_on else mavlink.MAV_SEVERITY_WARNING
-            )
+            goes_on = result.code == mavlink.MAV_RESULT_IN_PROGRESS
+            severity = mavlink.MAV_SEVERITY_INFO if goes_on else mavlink.MAV_SEVERITY_WARNING
+            self._say_once(result.reason, severity)
         return result.accepted
 
     def _say_once(self, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING) -> None:
@@ -220,8 +261,7 @@ class Search:
         if result is None and (waypoint.coordinate_frame != LOCAL_NED or waypoint.type_mask & NO_POSITION):
             result = denied("Waypoint refused: the answer to a reading is a position", "no position")
         if result is None:
-            position = waypoint.x, waypoint.y, waypoint.z
-            result = self.vehicle.setpoint(t_s, position, answers=True)
+            result = self.vehicle.setpoint(t_s, (waypoint.x, waypoint.y, waypoint.z), answers=True)
         if result.accepted:
             self.answers.awaited = False
             self.waypoint = self.vehicle.waypoint or self.waypoint
@@ -230,12 +270,11 @@ class Search:
     def obey(self, word: CommandName, t_s: float, by: str) -> Result:
         """Do what an operator tells the search of a real vehicle: give way to a mode, or lead again."""
         self.vehicle.catch_up(t_s)
-        name = word.capitalize()
         if not self.under_way:
-            return not_now(f"{name} refused: the search flies nothing")
+            return not_now(f"{word.capitalize()} refused: the search flies nothing")
         if word == "resume":
             return self.give_back(by)
-        result = self.vehicle.set_mode(t_s, WANTED[word])
+        result = self.vehicle.set_mode(t_s, MODES_WANTED[word])
         if result.accepted:
             self.give_way(self.vehicle.mode.name, by)
         return result

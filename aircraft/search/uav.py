@@ -1,9 +1,10 @@
-"""The UAV service: the loop that flies a search, measures, and lets the vehicle's clients have their part."""
+"""The UAV service: the loop that flies a search, measures, tells people, and lets clients have their part."""
 
 import math
 import queue
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import msgspec
@@ -23,20 +24,63 @@ from aircraft.search.events import (
     Return,
     Spike,
     Stuck,
+    Timeline,
     Wind,
 )
-from aircraft.search.handling import Handling
 from aircraft.search.sampling import Sampling
 from aircraft.search.search import PAUSED, SEARCHING, STANDBY, Search
-from aircraft.search.speaker import Speaker
-from aircraft.search.timeline import Timeline
-from aircraft.state import Arrived, Led, Reached, VehicleFailed
+from aircraft.state import Arrived, Reached, TakenOver, VehicleFailed
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, STOP, WAYPOINT
+from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, unpack_waypoint
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
+from link.bus.tally import FAULT
 from link.interrupts import uninterrupted
 from link.signing.signer import Signing
+
+
+class Speaker:
+    """Tells people a text of a MAV_SEVERITY: in the log and, once there are clients, as STATUSTEXT (253)."""
+
+    def __init__(self, log: Log) -> None:
+        self.log = log
+        self.clients: Clients | None = None
+
+    def __call__(self, severity: int, text: str) -> None:
+        """Tell a text."""
+        self.note(severity, text)
+        if self.clients:
+            self.clients.tell(severity, text)
+
+    def note(self, severity: int, text: str) -> None:
+        """Log a text that the clients have heard already."""
+        (self.log.warning if severity <= mavlink.MAV_SEVERITY_WARNING else self.log.info)(text)
+
+
+class Handling:
+    """The handling of clients' messages: a message that cannot be handled is dropped and counted."""
+
+    def __init__(self, log: Log) -> None:
+        """Take the log that is told of the first such message of each type, with the traceback."""
+        self.log = log
+        self._told: set[str] = set()
+
+    @contextmanager
+    def of(self, message: Message) -> Iterator[None]:
+        """Drop what is raised while a message is handled, but not that the vehicle has failed."""
+        try:
+            yield
+        except VehicleFailed:
+            raise
+        except Exception as error:
+            self.log.tally.refuse(FAULT)
+            if (kind := message.get_type()) not in self._told:
+                self._told.add(kind)
+                self.log.exception(
+                    f"{kind} of {message.get_srcSystem()}/{message.get_srcComponent()} dropped: "
+                    f"{type(error).__name__}: {error}"
+                )
 
 
 class Equipment(NamedTuple):
@@ -67,14 +111,13 @@ class Uav:
         """
         self._search, self._vehicle, self._clients, self._sensor = search, search.vehicle, clients, sensor
         self._clock, self._inbox, self._bus, self._say, *_ = equipment
-        say, bus = equipment.say, equipment.bus
-        self._log, self._tally = say.log, say.log.tally
+        self._log, self._tally = equipment.say.log, equipment.say.log.tally
         self._handling = Handling(self._log)
         self._timeline = Timeline(events, self._perform)
-        self._sampling = Sampling(search, clients, sensor, self._timeline, bus, self._log)
+        self._sampling = Sampling(search, clients, sensor, self._timeline, self._bus, self._log)
         self._services: set[str] = set()
         self._tally.state = search.state
-        say.clients = clients
+        self._say.clients = clients
         self._meet()
 
     def _meet(self) -> None:
@@ -138,8 +181,8 @@ class Uav:
                 self._sampling.arrived(event)
             elif isinstance(event, Reached):
                 self._clients.send(mavlink.MAVLink_mission_item_reached_message(event.seq))
-            elif isinstance(event, Led):
-                self._search.led(event.mode, event.by)
+            elif isinstance(event, TakenOver):
+                self._search.taken_over(event.mode, event.by)
             else:
                 (self._say.note if event.heard else self._say)(event.severity, event.text)
 
@@ -147,8 +190,11 @@ class Uav:
         """Return what comes until something is due; None if nothing does."""
         wait_s = 0.0
         if self._clock.speedup or not self._busy:
-            due_s = max(self._sampling.next_s() - time.monotonic(), 0.0)
-            wait_s = min(self._clock.wait_s(self._next_event_s(), math.inf), self._clients.wait_s(), due_s)
+            wait_s = min(
+                self._clock.wait_s(self._next_event_s(), math.inf),
+                self._clients.wait_s(),
+                max(self._sampling.next_s() - time.monotonic(), 0.0),
+            )
         try:
             return self._inbox.get(timeout=min(wait_s, SIGNAL_POLL_S))
         except queue.Empty:
@@ -179,7 +225,6 @@ class Uav:
             self._clients.take(arrival)
 
     def _answer(self, waypoint: Message) -> None:
-        """Fly where the agent wants."""
         with self._handling.of(waypoint):
             now_s = self._clock.now_s()
             result = self._search.answer(waypoint, now_s)
@@ -205,7 +250,6 @@ class Uav:
                 self._bus.publish_health()
 
     def _perform(self, event: OnBoard) -> None:
-        """Carry out an event of the script."""
         fields = msgspec.structs.asdict(event).items()
         words = " ".join(f"{name} {value}" for name, value in fields if value is not None)
         self._say(mavlink.MAV_SEVERITY_INFO, f"Script: {event.__struct_config__.tag} {words}")

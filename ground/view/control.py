@@ -11,11 +11,11 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.operator import (
     AUTOPILOT,
+    MODES_WANTED,
     NO_ANSWER,
-    OPERATOR,
+    OPERATOR_IDS,
     SEARCH,
     TRIES,
-    WANTED,
     CommandName,
     CommandRun,
     order,
@@ -92,14 +92,14 @@ class Awaited:
         search does.
         """
         given_back = self._name == "resume" and self._component == SEARCH
-        if self._mode == WANTED[self._name].name and (self._run.accepted or not given_back):
+        if self._mode == MODES_WANTED[self._name].name and (self._run.accepted or not given_back):
             return True
         landing = self._name == "return" and self._mode == Mode.LAND.name
         return self._run.accepted and (landing or not self._armed)
 
 
 def _to_us(system: int, component: int) -> bool:
-    return system in (0, OPERATOR[0]) and component in (0, OPERATOR[1])
+    return system in (0, OPERATOR_IDS[0]) and component in (0, OPERATOR_IDS[1])
 
 
 async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
@@ -119,7 +119,7 @@ async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
     def listener(payload: bytes) -> None:
         loop.call_soon_threadsafe(heard.put_nowait, payload)
 
-    awaited, codec = Awaited(name, vehicle.system, vehicle.commanded), Codec(*OPERATOR)
+    awaited, codec = Awaited(name, vehicle.system, vehicle.commanded), Codec(*OPERATOR_IDS)
     vehicle.listeners.add(listener)
     try:
         while (answer := awaited.over(time.monotonic())) is None:

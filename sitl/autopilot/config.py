@@ -3,8 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from aircraft.config import AircraftConfig
-from aircraft.state import Ned, metres
+from aircraft.state import AircraftConfig, Ned, metres
 from plume.geodesy import to_local
 from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, NorthEast, Rally
 from sitl.autopilot.motion import Limits

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from aircraft.operator import AUTOPILOT, LAUNCHER, SEARCH, order
+from aircraft.operator import AUTOPILOT, LAUNCHER_IDS, SEARCH, order
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.log import LEVELS
@@ -359,7 +359,7 @@ class MissionWatch:
             self._bus.subscribe(MAVLINK_OUT)  # where it has landed
         if not heard.landed:
             self._progress.say("returning home" if after == "return" else "landing")
-        codec, call_at, lost_at = Codec(*LAUNCHER), 0.0, math.inf
+        codec, call_at, lost_at = Codec(*LAUNCHER_IDS), 0.0, math.inf
         while not heard.landed or (home and heard.landed_at is None and time.monotonic() < lost_at):
             if heard.landed:  # the place where it stands is not waited for without end
                 lost_at = min(lost_at, time.monotonic() + LAG_S)

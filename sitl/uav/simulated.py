@@ -9,13 +9,12 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.aircraft import GasSensor, Measured
 from aircraft.bridge.bus_link import BRIDGED
-from aircraft.operator import OPERATOR, CommandName, named, order
+from aircraft.operator import OPERATOR_IDS, CommandName, named, order
 from aircraft.payload.messages import Question
 from aircraft.payload.simulated import Simulated, turned
 from aircraft.search.command import Orders
-from aircraft.search.handling import Handling
 from aircraft.search.search import Search
-from aircraft.search.uav import Equipment, Uav
+from aircraft.search.uav import Equipment, Handling, Uav
 from aircraft.search.udp import UdpPorts
 from aircraft.state import Arrived, Result, denied, not_now
 from link.bus.keys import MAVLINK_OUT
@@ -156,7 +155,7 @@ class SimulatedClients:
     def operate(self, name: CommandName) -> None:
         """Handle a word of the script's operator as if it had come over a link."""
         message = order(name, self.system)
-        message.pack(mavlink.MAVLink(None, *OPERATOR))
+        message.pack(mavlink.MAVLink(None, *OPERATOR_IDS))
         self._answer(self._asked.receive(message, self._vehicle.now_s, "in the script"), *self._ports)
 
     def end(self, say: Callable[[int, str], None]) -> None:

@@ -8,7 +8,7 @@ from itertools import count
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.operator import OPERATOR, CommandRun, command
+from aircraft.operator import OPERATOR_IDS, CommandRun, command
 from aircraft.state import Result
 from link.bus.mavlink import Message
 from sitl.autopilot.config import VehicleConfig
@@ -44,7 +44,7 @@ class Flight:
             now_s = 20.0 + STEP_S * step
             if copy := self.run.send(now_s):
                 self.sent.append(copy)
-                copy.pack(mavlink.MAVLink(None, *OPERATOR))
+                copy.pack(mavlink.MAVLink(None, *OPERATOR_IDS))
                 answers = [] if loses(copy.confirmation) else self.protocol.receive(copy, now_s)
                 for said in [] if deaf(copy.confirmation) else answers:
                     if said.get_type() == "COMMAND_ACK":

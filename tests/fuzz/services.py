@@ -17,12 +17,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from agent import service as agent
 from agent.policies import OURS, reach
 from aircraft.bridge.routing import Routes
-from aircraft.operator import OPERATOR, SEARCH, WANTED, change_mode, command, order
+from aircraft.operator import MODES_WANTED, OPERATOR_IDS, SEARCH, change_mode, command, order
 from aircraft.search.clock import Clock
 from aircraft.search.command import Orders
 from aircraft.search.search import RETURNING, SEARCHING
-from aircraft.search.speaker import Speaker
-from aircraft.search.uav import Equipment
+from aircraft.search.uav import Equipment, Speaker
 from estimator import service as estimator
 from estimator.filter import Config
 from link.bus.frames import FrameStream
@@ -286,7 +285,7 @@ def _lives_on(flight: _Flight) -> None:
     state = flight.vehicle.state(flight.vehicle.now_s)
     assert all(map(math.isfinite, (*state.position, *state.velocity)))
     flight.bus.published.clear()
-    flight.goes_on(Arrival(MAVLINK_IN, Codec(*OPERATOR).pack(ASKED), b""))
+    flight.goes_on(Arrival(MAVLINK_IN, Codec(*OPERATOR_IDS).pack(ASKED), b""))
     ids = {
         frame.message_id
         for key, payload, _ in flight.bus.published
@@ -298,7 +297,7 @@ def _lives_on(flight: _Flight) -> None:
 
 @cache
 def mavlink_in_seeds() -> list[bytes]:
-    said = Codec(*OPERATOR).pack
+    said = Codec(*OPERATOR_IDS).pack
     modes = [said(change_mode(1, mode)) for mode in (Mode.HOLD, Mode.OFFBOARD, Mode.MISSION, Mode.LAND)]
     numbers = (400, 22, 176, 178, 192, 300, 224, 193, 511, 510, 512, 520, 519, 410)
     orders = [said(command(1, number, 1.0)) for number in numbers]
@@ -347,8 +346,8 @@ def mavlink_in(data: bytes) -> None:
 
 
 def clients_seeds() -> list[bytes]:
-    said = Codec(*OPERATOR).pack
-    to_search = [said(order(name, 1, SEARCH)) for name in WANTED]
+    said = Codec(*OPERATOR_IDS).pack
+    to_search = [said(order(name, 1, SEARCH)) for name in MODES_WANTED]
     return [
         *to_search,
         said(mavlink.MAVLink_command_int_message(1, SEARCH, 0, 21, 0, 0, 0, 0, 0, 0, 0, 0, 0)),

@@ -11,11 +11,11 @@ from aircraft.bridge.routing import (
     DUPLICATE,
     DUPLICATE_S,
     ELSEWHERE,
-    HOME_S,
-    KEYS,
     MOST_HEARD,
     MOST_REMEMBERED,
+    MOVES_AFTER_S,
     UNHEARD,
+    WITH_KEY,
     Route,
     Routes,
 )
@@ -181,9 +181,9 @@ def test_a_copy_that_overtakes_its_frame_does_not_take_its_place() -> None:
 def test_a_vehicle_may_move_to_another_link_when_its_own_is_silent() -> None:
     net = Net(A, B)
     net.says(DRONE, A, autopilot=True)
-    net.now_s = HOME_S - 0.01
+    net.now_s = MOVES_AFTER_S - 0.01
     assert net.says(DRONE, B, autopilot=True) == Route(dropped=ELSEWHERE)
-    net.now_s = HOME_S
+    net.now_s = MOVES_AFTER_S
     assert net.says(DRONE, B, autopilot=True) == Route((BUS, A), vehicle=True)
 
 
@@ -284,5 +284,5 @@ def test_a_key_goes_nowhere_and_its_sender_is_not_learned_from_it() -> None:
     net = bus_vehicle()
     for link, to in ((A, (0, 0)), (A, (1, 1)), (BUS, (255, 190))):
         setup = mavlink.MAVLink_setup_signing_message(*to, [link] * 32, 0)
-        assert net.routes.route(said(setup, (9, 9)), link, 0.0) == Route(dropped=KEYS)
+        assert net.routes.route(said(setup, (9, 9)), link, 0.0) == Route(dropped=WITH_KEY)
     assert net.says(QGC, A, to=(9, 9)) == Route(dropped=UNHEARD)

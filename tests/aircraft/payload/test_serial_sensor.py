@@ -72,7 +72,7 @@ def test_the_rest_of_a_line_whose_beginning_is_not_known_is_no_number(log: Log) 
     found = NumberLines(log)
     assert found.take(b"42") == []  # of 10.42
     assert found.take(b"\n5\n") == [5.0]
-    found.lose_place()
+    found.begun = None
     assert found.take(b"7\n8\n") == [8.0]
 
 

@@ -13,9 +13,9 @@ from aircraft.remote.passing import RealClients
 from aircraft.remote.safety import Check, Verdict
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
-from aircraft.search.handling import Handling
 from aircraft.search.search import STANDBY, Search
-from aircraft.state import Arrived, Led, Said, VehicleFailed
+from aircraft.search.uav import Handling
+from aircraft.state import Arrived, Said, TakenOver, VehicleFailed
 from link.bus.frames import frames_in
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, Key
 from link.bus.log import Log
@@ -200,8 +200,8 @@ class Cockpit:
         for event in self.vehicle.advance(self.now_s):
             if isinstance(event, Said):
                 self.said.append(event.text)
-            elif isinstance(event, Led):
-                self.search.led(event.mode, event.by)
+            elif isinstance(event, TakenOver):
+                self.search.taken_over(event.mode, event.by)
             elif isinstance(event, Arrived) and self.search.measures:
                 self.readings.append((self.now_s, event.position))
                 self.truths.append(

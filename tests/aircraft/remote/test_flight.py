@@ -81,7 +81,8 @@ def test_time_in_which_the_link_carries_nothing_is_no_time_at_rest(kind: str) ->
     target = cockpit.readings[-1][1]
 
     def is_near() -> bool:
-        at, known = cockpit.vehicle.position, cockpit.vehicle.flight.known
+        known = cockpit.vehicle.flight.known
+        at = known.place
         return away_m(at, (target[0], target[1] + 1.0, -5.0)) < 0.3 and math.hypot(*known.velocity) < 0.25
 
     cockpit.until(is_near)

@@ -10,11 +10,11 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.remote import passing
 from aircraft.remote.command import real_uav
+from aircraft.remote.passing import RealClients
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.command import Orders
-from aircraft.search.speaker import Speaker
-from aircraft.search.uav import Equipment
+from aircraft.search.uav import Equipment, Speaker
 from aircraft.state import VehicleFailed
 from link.bus.inbox import Inbox
 from link.bus.mavlink import Message
@@ -86,17 +86,17 @@ def test_a_second_and_a_third_signal_do_not_keep_a_vehicle_from_being_sent_home(
     """
     cockpit = Cockpit(kind)
     cockpit.reads(1)
-    leave, told = passing.leave, RemoteVehicle.leave
+    end, told = RealClients.end, RemoteVehicle.leave
 
-    def leave_struck(*args) -> None:
+    def end_struck(*args) -> None:
         strike()
-        leave(*args)
+        end(*args)
 
     def told_struck(vehicle: RemoteVehicle) -> str:
         strike()
         return told(vehicle)
 
-    monkeypatch.setattr(passing, "leave", leave_struck)
+    monkeypatch.setattr(RealClients, "end", end_struck)
     monkeypatch.setattr(RemoteVehicle, "leave", told_struck)
     fly_until_struck(cockpit)
     assert cockpit.vehicle.left
@@ -129,13 +129,13 @@ def leave_when(cockpit: Cockpit, monkeypatch: pytest.MonkeyPatch, happens: Calla
     monkeypatch.setattr(
         passing, "time", SimpleNamespace(monotonic=lambda: cockpit.now_s, sleep=lambda _: happens())
     )
-    leave = passing.leave
+    end = RealClients.end
 
     def troubled(*args) -> None:
         happens()
-        leave(*args)
+        end(*args)
 
-    monkeypatch.setattr(passing, "leave", troubled)
+    monkeypatch.setattr(RealClients, "end", troubled)
     fly_until_struck(cockpit)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.remote.arrival import Targets
+from aircraft.remote.procedures import Targets
 from aircraft.search.search import LANDED, PAUSED, SEARCHING
 from tests.aircraft.remote.cockpit import Cockpit, away_m
 

@@ -15,8 +15,7 @@ from aircraft.payload.messages import Sample, pack_answer, unpack_question
 from aircraft.remote.command import real_uav
 from aircraft.search.command import Orders
 from aircraft.search.events import Dropout, Hold, Land, OnBoard, Resume, Return
-from aircraft.search.speaker import Speaker
-from aircraft.search.uav import Equipment
+from aircraft.search.uav import Equipment, Speaker
 from link.bus.inbox import Inbox
 from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, READING, WAYPOINT, Key
 from link.bus.mavlink import BadFrame, Codec, sender, unpack, unpack_reading, waypoint_message

@@ -5,7 +5,7 @@ there is no flight.
 import pytest
 
 from aircraft.remote.safety import Verdict
-from aircraft.remote.winds import Winds, WindSource, will_estimate
+from aircraft.remote.winds import Winds, WindSource
 from aircraft.search.options import parse_wind
 
 SCENARIO, EAST, NORTH = (0.7, -2.0), (2.0, 0.0), (0.0, 3.0)
@@ -17,13 +17,14 @@ def begun(
     estimated: tuple[float, float] | None,
     given: tuple[float, float] | None = None,
     line: str = "",
-) -> Winds:
-    """Return winds that allow the flight; line: what the list says of them."""
-    winds = Winds(given, SCENARIO)
+) -> tuple[Winds, list[str]]:
+    """Return winds that allow the flight, and what they tell people; line: what the list says of them."""
+    news: list[str] = []
+    winds = Winds(given, SCENARIO, lambda _, text: news.append(text))
     check = winds.before(measured, estimated, {"EK3_DRAG_MCOEF": 0.1}, "ArduCopter")
     assert check.verdict is Verdict.OK
     assert line in check.text
-    return winds
+    return winds, news
 
 
 def test_a_given_wind_is_told_as_sailors_do() -> None:
@@ -60,10 +61,10 @@ def test_the_source_of_the_wind(
     source: WindSource,
     wind: tuple[float, float],
 ) -> None:
-    winds = begun(measured, estimated, given, source.value)
+    winds, news = begun(measured, estimated, given, source.value)
     assert winds.source is source
     assert winds.of(measured, estimated) == wind
-    assert not winds.news
+    assert not news
 
 
 @pytest.mark.parametrize(
@@ -71,7 +72,7 @@ def test_the_source_of_the_wind(
     [("ArduCopter", "EK3_DRAG_BCOEF_X, EK3_DRAG_BCOEF_Y, EK3_DRAG_MCOEF"), ("PX4", "EKF2_DRAG_CTRL")],
 )
 def test_without_any_wind_there_is_no_flight_and_what_to_set_is_told(firmware: str, named: str) -> None:
-    _, verdict, reason = Winds(None, SCENARIO).before(None, None, NO_DRAG, firmware)
+    _, verdict, reason = Winds(None, SCENARIO, print).before(None, None, NO_DRAG, firmware)
     assert verdict is Verdict.FORBIDS
     for words in (named, "a payload that measures it", "--wind SPEED,FROM"):
         assert words in reason
@@ -80,25 +81,28 @@ def test_without_any_wind_there_is_no_flight_and_what_to_set_is_told(firmware: s
 
 def test_an_autopilot_that_will_estimate_it_in_flight_may_fly() -> None:
     """On the ground it estimates none."""
-    assert not will_estimate(NO_DRAG, "ArduCopter")
-    assert not will_estimate({}, "PX4")
-    assert will_estimate({**NO_DRAG, "EK3_DRAG_BCOEF_Y": 20.0}, "ArduCopter")
-    assert will_estimate({"EKF2_DRAG_CTRL": 1.0}, "PX4")
-    winds = begun(None, None, line="estimated by the autopilot, once it flies")
+    for parameters, firmware, verdict in (
+        (NO_DRAG, "ArduCopter", Verdict.FORBIDS),
+        ({}, "PX4", Verdict.FORBIDS),
+        ({**NO_DRAG, "EK3_DRAG_BCOEF_Y": 20.0}, "ArduCopter", Verdict.OK),
+        ({"EKF2_DRAG_CTRL": 1.0}, "PX4", Verdict.OK),
+    ):
+        assert Winds(None, SCENARIO, print).before(None, None, parameters, firmware).verdict is verdict
+    winds, news = begun(None, None, line="estimated by the autopilot, once it flies")
     assert winds.of(None, EAST) == EAST
-    assert not winds.news
+    assert not news
 
 
 def test_a_payload_that_stops_measuring_the_wind_is_replaced_by_the_autopilot_and_that_is_told() -> None:
-    winds = begun(NORTH, EAST)
+    winds, news = begun(NORTH, EAST)
     assert winds.of(None, EAST) == EAST
-    assert winds.news[-1] == "Wind of the readings: now estimated by the autopilot, 2.0 m/s from 90°"
+    assert news[-1] == "Wind of the readings: now estimated by the autopilot, 2.0 m/s from 90°"
 
 
 def test_when_all_sources_are_quiet_there_is_no_wind_and_it_is_told_once() -> None:
-    winds = begun(NORTH, None)
+    winds, news = begun(NORTH, None)
     assert winds.of(None, None) is None
     assert winds.of(None, None) is None
-    assert [news for news in winds.news if "no readings until one does" in news] == [winds.news[-1]]
+    assert [text for text in news if "no readings until one does" in text] == [news[-1]]
     assert winds.of(NORTH, None) == NORTH
-    assert "now measured by the payload" in winds.news[-1]
+    assert "now measured by the payload" in news[-1]

@@ -12,8 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from aircraft.operator import change_mode, command
 from aircraft.search.clock import Clock
 from aircraft.search.command import Orders
-from aircraft.search.speaker import Speaker
-from aircraft.search.uav import Equipment
+from aircraft.search.uav import Equipment, Speaker
 from aircraft.state import Result, VehicleEvent, VehicleFailed
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.operator import LAUNCHER
+from aircraft.operator import LAUNCHER_IDS
 from aircraft.search.search import Search
 from aircraft.state import Arrived
 from link.bus.mavlink import POSITION_ONLY, Message, waypoint_message
@@ -585,7 +585,7 @@ def test_a_search_that_a_pilot_ends_says_who_and_how_when_it_has_landed(flight: 
 
 def test_the_launchers_return_is_the_launchers_and_no_pilot_has_ended_the_search(flight: Flight) -> None:
     flight.until("searching")
-    flight.command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, sender=LAUNCHER)
+    flight.command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, sender=LAUNCHER_IDS)
     flight.until("landed")
     assert flight.texts == ["Search gives way: RETURN by the launcher"]
     assert flight.search.waits_for == ""

@@ -1,7 +1,6 @@
 """Protects the order of events: each happens once, at its step or time."""
 
-from aircraft.search.events import Hold, Land, OnBoard, Resume, Return, Spike, Stuck, Wind
-from aircraft.search.timeline import Timeline
+from aircraft.search.events import Hold, Land, OnBoard, Resume, Return, Spike, Stuck, Timeline, Wind
 
 
 def test_events_of_a_time_come_in_the_order_of_their_times() -> None:
@@ -38,7 +37,7 @@ def test_events_of_a_step_come_once_those_of_the_operator_behind_its_reading() -
     assert timeline.next_s() is None
     reading = "reading"
     for step in (3, 4, 4, 5):
-        timeline.before(step)
+        timeline.reach(step, by_operator=False)
         came.append(reading)
-        timeline.after(step)
+        timeline.reach(step, by_operator=True)
     assert came == [reading, stuck, spike, reading, hold, reading, reading, back, land]

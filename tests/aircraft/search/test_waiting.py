@@ -6,8 +6,7 @@ import pytest
 
 from aircraft.remote.command import real_uav
 from aircraft.search.command import Orders
-from aircraft.search.speaker import Speaker
-from aircraft.search.uav import Equipment
+from aircraft.search.uav import Equipment, Speaker
 from aircraft.state import VehicleFailed
 from link.bus.keys import PAYLOAD_IN, Key
 from link.bus.session import LivelinessChange

@@ -3,7 +3,7 @@
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName
+from aircraft.operator import AUTOPILOT, OPERATOR_IDS, SEARCH, CommandName
 from ground.view.control import Awaited, CommandAnswer
 from link.bus.mavlink import Codec
 from link.modes import Mode
@@ -16,7 +16,7 @@ ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
 UAV = Codec(1, 1)
 
 
-def ack(number: int, result: int, target: tuple[int, int] = OPERATOR) -> object:
+def ack(number: int, result: int, target: tuple[int, int] = OPERATOR_IDS) -> object:
     return mavlink.MAVLink_command_ack_message(
         number, result, target_system=target[0], target_component=target[1]
     )
@@ -48,7 +48,7 @@ class Flying:
         awaited = Awaited(name, system=1)
         said = awaited.send(0.0)
         assert said is not None
-        said.pack(mavlink.MAVLink(None, *OPERATOR))
+        said.pack(mavlink.MAVLink(None, *OPERATOR_IDS))
         awaited.hears(UAV.pack(*self.protocol.receive(said, self.now_s)), 0.1)
         awaited.hears(UAV.pack(beat(self.mode, self.vehicle.armed)), 0.2)
         return awaited.over(0.5)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.operator import OPERATOR
+from aircraft.operator import OPERATOR_IDS
 from ground.view.access import AccessRules
 from ground.view.control import CommandAnswer, operate
 from ground.view.live import LiveVehicle
@@ -40,7 +40,7 @@ class Obeying(LiveVehicle):
             mode = ASKED.get(message.command) or Mode((int(message.param2), int(message.param3)))
             self.heard.append(mode.name)
             ack = mavlink.MAVLink_command_ack_message(
-                message.command, 0, target_system=OPERATOR[0], target_component=OPERATOR[1]
+                message.command, 0, target_system=OPERATOR_IDS[0], target_component=OPERATOR_IDS[1]
             )
             shown = mavlink.MAVLink_heartbeat_message(2, 12, 128, mode.custom_mode, 4, 3)
             for listener in () if self.deaf else tuple(self.listeners):
