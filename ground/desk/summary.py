@@ -4,7 +4,6 @@ import argparse
 import csv
 import json
 import math
-import statistics
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -26,22 +25,7 @@ if TYPE_CHECKING:
 SHORTEST_KEY = 12  # characters of a key that a narrow terminal shows at least
 
 
-class Row(NamedTuple):
-    """One message of a table: publication time, simulation time and fields."""
-
-    published_s: float
-    simulation_s: float
-    fields: dict[str, Any]
-
-    def cells(self) -> dict[str, Any]:
-        """Return its cells by the names of their columns."""
-        return {
-            "published_s": repr(self.published_s),
-            "simulation_s": _cell(self.simulation_s),
-            **dict(_flattened("", self.fields)),
-        }
-
-
+Row = dict[str, Any]  # of a table: its cells by the names of their columns
 Messages = Iterator[tuple[str, Callable[[], Row]]]  # by their keys, with what makes their rows
 
 
@@ -74,9 +58,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the summary or the CSV; returns the exit status: 1 if pieces of the log are missing."""
+    """Print the summary or the CSV; returns the exit status: 1 if pieces of the log are missing.
+
+    Raises BadInput.
+    """
     from ground.desk.survey import Survey
-    from ground.tlog.log import FlightError, open_log
+    from ground.tlog.log import open_log
     from link.record.reader import LogFile, RecordError, is_record
 
     missing = ""
@@ -95,23 +82,17 @@ def run(args: argparse.Namespace) -> int:
                 names, rows = _table(_of_flight(flown), _of_flight(flown), args.csv)
             else:
                 summary = _summary_of_flight(args.log, flown)
-    except (RecordError, FlightError, _NoSuchKey) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
-    status = cli.FAILED if missing else 0
+    except RecordError as error:
+        raise cli.BadInput(str(error)) from None
     if args.csv:
         if missing:
             print(f"warning: {missing}", file=sys.stderr)
         _print_csv(names, rows)
-        return status
-    _print(summary, sys.stderr if args.json else sys.stdout)
+    else:
+        _print(summary, sys.stderr if args.json else sys.stdout)
     if args.json:
         print(json.dumps(summary.fields))
-    return status
-
-
-class _NoSuchKey(ValueError):
-    """The log lacks the key asked for; the message is one line."""
+    return cli.FAILED if missing else 0
 
 
 # ---- records of the bus ----
@@ -120,32 +101,22 @@ class _NoSuchKey(ValueError):
 def _summary(path: Path, log: "LogFile", survey: "Survey") -> Summary:
     tables = survey.tables
     outcome, lines = _outcome(log.about, survey)
-    if survey.last is None and "belief" in survey.published_s:
-        lines = ["no readable belief: the outcome of the search is unknown"]
     gaps = survey.gaps() + survey.unreadable
-    began = log.about.get("began", "unknown")
-    policy, seed = log.about.get("policy"), log.about.get("seed")
-    mission = f"{policy}, seed {seed}" if policy is not None else "mission unknown"
+    policy = log.about.get("policy")
+    mission = f"{policy}, seed {log.about.get('seed')}" if policy is not None else "mission unknown"
     title, versions = _object(log.about, "mission").get("about"), _object(log.about, "versions")
     commit, _, dirty = str(log.about.get("git") or "").partition("-")
     revision = commit[:12] + (f", {dirty}" if dirty else "")
     stopped = log.about.get("stopped")
     count = sum(len(table.published_s) for table in tables)
-    wall_s, simulation_s = (
-        _span([table.published_s for table in tables]),
-        _span([table.simulation_s for table in tables]),
-    )
-    whole = (
-        "complete"
-        if log.complete
-        else "DAMAGED"
-        if log.damage
-        else f"CUT OFF{f': {stopped}' if stopped else ''}"
-    )
+    wall_s, simulation_s = _span(it.published_s for it in tables), _span(it.simulation_s for it in tables)
+    whole = "DAMAGED" if log.damage else "complete" if log.complete else "CUT OFF"
+    if whole == "CUT OFF" and stopped:
+        whole += f": {stopped}"
     flown_with = f"plumeward {versions.get('plumeward', 'unknown')}{f' ({revision})' if revision else ''}"
     head = [
         str(path),
-        f"{f'{title}, ' if title else ''}{mission}, begun {began}",
+        f"{f'{title}, ' if title else ''}{mission}, begun {log.about.get('began', 'unknown')}",
         f"{count:,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
         flown_with,
         *([f"it {log.shortcoming}"] if log.damage else []),
@@ -189,7 +160,10 @@ def _outcome(about: dict[str, Any], survey: "Survey") -> tuple[dict[str, Any], l
 
     last = survey.last
     if last is None:
-        return {"ceased": None}, ["no belief: there was no search"]
+        unknown = "no readable belief: the outcome of the search is unknown"
+        return {"ceased": None}, [
+            unknown if survey.published_s.get("belief") else "no belief: there was no search"
+        ]
     estimate = f"estimate ({last.mean[0]:.2f}, {last.mean[1]:.2f}) ± {last.spread:.2f} m"
     world = _object(about, "mission").get("world")
     world = world if isinstance(world, str) else AS_MODELLED  # records of other versions may lack it
@@ -226,7 +200,7 @@ def _of_record(entries: "Iterable[Entry]", only: str = "") -> Messages:
     for entry in entries:
         if only.startswith(entry.key) or not only:
             for key, fields in _decoded(entry):
-                yield key, partial(Row, entry.published_ns / 1e9, entry.simulation_s, fields)
+                yield key, partial(_row, entry.published_ns / 1e9, entry.simulation_s, fields)
 
 
 def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
@@ -285,14 +259,14 @@ def _of_flight(log: "FlightLog") -> Messages:
 
     for index, message_id in enumerate(log.records.message_ids.tolist()):
         if message_id in NAMES:
-            yield NAMES[message_id], partial(_row, log, index)
+            yield NAMES[message_id], partial(_row_of_flight, log, index)
 
 
-def _row(log: "FlightLog", index: int) -> Row:
+def _row_of_flight(log: "FlightLog", index: int) -> Row:
     message = log.message(index)
     fields = {name: getattr(message, name) for name in message.get_fieldnames()}
-    fields["system"] = message.get_srcSystem()
-    return Row(float(log.times_us[index]) / 1e6, math.nan, fields)
+    own = fields | {"system": message.get_srcSystem()}
+    return _row(float(log.times_us[index]) / 1e6, math.nan, own)
 
 
 # ---- one table as CSV ----
@@ -301,17 +275,17 @@ def _row(log: "FlightLog", index: int) -> Row:
 def _table(first: Messages, again: Messages, name: str) -> tuple[list[str], Iterator[Row]]:
     """Return the columns and the rows of a key, from two ways through the log: the rows are not kept.
 
-    Raises _NoSuchKey that lists the keys.
+    Raises cli.BadInput that lists the keys.
     """
-    columns: dict[str, None] = {}
-    keys: dict[str, None] = {}
+    columns: dict[str, Any] = {}
+    keys = set()
     for key, row in first:
-        keys[key] = None
+        keys.add(key)
         if key == name:
-            columns.update(dict.fromkeys(row().cells()))
+            columns |= row()
     if name not in keys:
         known = ", ".join(sorted(keys)) or "nothing: the log is empty"
-        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {known}")
+        raise cli.BadInput(f"--csv: {name!r} is not allowed; wanted one of {known}")
     return list(columns), (row() for key, row in again if key == name)
 
 
@@ -337,9 +311,8 @@ def _print(summary: Summary, stream: TextIO) -> None:
 
 def _rate(times: Sequence[float]) -> str:
     """Messages per second: one over the mean time between two."""
-    steps = [after - before for before, after in pairwise(sorted(times))]
-    mean_s = statistics.fmean(steps) if steps else 0.0
-    return f"{1 / mean_s:,.2f}" if mean_s > 0 else ""
+    span_s = _span([times])
+    return f"{(len(times) - 1) / span_s:,.2f}" if span_s > 0 else ""
 
 
 def _print_csv(names: Sequence[str], rows: Iterable[Row]) -> None:
@@ -347,7 +320,13 @@ def _print_csv(names: Sequence[str], rows: Iterable[Row]) -> None:
         sys.stdout, names, restval="", extrasaction="ignore", lineterminator="\n"
     )  # the log may still be written
     writer.writeheader()
-    writer.writerows(row.cells() for row in rows)
+    writer.writerows(rows)
+
+
+def _row(published_s: float, simulation_s: float, fields: dict[str, Any]) -> Row:
+    """Return the row of a message: its times, and the values within its fields."""
+    times = {"published_s": repr(published_s), "simulation_s": _cell(simulation_s)}
+    return times | dict(_flattened("", fields))
 
 
 def _flattened(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -1,5 +1,6 @@
-"""The settings that a record may give the services of its replay: it may come from a stranger, so that
-nothing else of it is run.
+"""The settings that a record may give the services of its replay.
+
+It may come from a stranger: nothing else of it is run.
 """
 
 from collections.abc import Iterator, Mapping
@@ -93,8 +94,9 @@ def with_bundle(recorded: list[str], bundle: str) -> list[str]:
 
 
 def as_words(settings: Mapping[str, Any]) -> list[str]:
-    """Return a command line of settings: their names are those of the flags, and each item of a list is a
-    flag of its own.
+    """Return a command line of settings, by the names of their flags.
+
+    Each item of a list is a flag of its own.
     """
     each = [
         (name, item)

@@ -5,9 +5,10 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog.frames import Integers
-from ground.tlog.log import GLOBAL, LOCAL, Autopilot, FlightError, FlightLog, few
+from ground.tlog.log import GLOBAL, LOCAL, Autopilot, FlightLog, few
 from link.bus.frames import frame_at
 from link.bus.mavlink import WRAP_MS, WRAPPED_MS
+from link.cli import BadInput
 
 Floats = NDArray[np.float64]
 
@@ -71,13 +72,13 @@ class VehicleClock:
 def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> VehicleClock:
     """Make the vehicle's times continuous and remove jumps from the log's clock; notes what was corrected.
 
-    Raises FlightError if neither the log nor the vehicle's messages contain times.
+    Raises BadInput if neither the log nor the vehicle's messages contain times.
     """
     ticks = log.select(autopilot.system, CLOCKS, autopilot.component)
     raw = np.array([_boot_ms(log, tick) for tick in ticks.tolist()], np.int64)
     if not len(ticks):
         if not log.is_timed:
-            raise FlightError(
+            raise BadInput(
                 "neither the log nor the vehicle's messages contain times; wanted a ground station's "
                 "telemetry log (.tlog)"
             )

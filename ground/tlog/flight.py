@@ -10,11 +10,12 @@ import numpy as np
 
 from ground.tlog import track
 from ground.tlog.clock import Floats, VehicleClock, vehicle_clock
-from ground.tlog.log import AUTOPILOT, Autopilot, FlightError, FlightLog, choose, open_log
+from ground.tlog.log import AUTOPILOT, Autopilot, FlightLog, choose, open_log
 from ground.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wind, recorded, steady
 from ground.tlog.track import Anchor, FlownPath, NorthEastUp
 from link.bus.keys import MAVLINK_OUT, READING
 from link.bus.mavlink import GAS_NAME, WRAP_MS, Codec, Reading, pack_reading
+from link.cli import BadInput
 from link.record.record import Entry
 from plume.geodesy import to_global
 from plume.scenario import AREA_M
@@ -56,7 +57,7 @@ def read(
     area_m: float | None = None,
     plume: World | None = None,
 ) -> LoggedFlight:
-    """Read a flight; raises FlightError if it yields no readings or an argument is not allowed.
+    """Read a flight; raises BadInput if it yields no readings or an argument is not allowed.
 
     system: the vehicle's system id; default: the autopilot with the most positions. gas: see `parse_gas`.
     wind: (speed in m/s, direction it comes from in degrees clockwise from north), instead of the log's
@@ -95,7 +96,7 @@ def read(
     readings = _readings(taken, corner, side_m, plume, left_out)
     out = ", ".join(f"{count:,} {what}" for what, count in left_out.items())
     if not readings:
-        raise FlightError(
+        raise BadInput(
             f"{path}: none of the {len(samples):,} samples can be a reading; left out: {out or 'none'}"
         )
     where = _where(corner, flown.anchor)
@@ -111,18 +112,18 @@ def _check(
     wind: Pair | None, every_s: float | None, origin: Pair | None, area_m: float | None, plume: World | None
 ) -> None:
     if wind is not None and plume is not None:
-        raise FlightError("a wind is not allowed with a plume, which has its own")
+        raise BadInput("a wind is not allowed with a plume, which has its own")
     if wind is not None and not (0.0 <= wind[0] <= STRONGEST_MPS and abs(wind[1]) <= 360.0):
         wanted = f"a speed from 0 to {STRONGEST_MPS:g} m/s and a direction within ±360°"
-        raise FlightError(f"wind {wind[0]:g},{wind[1]:g} is not allowed; wanted {wanted}")
+        raise BadInput(f"wind {wind[0]:g},{wind[1]:g} is not allowed; wanted {wanted}")
     if every_s is not None and not LEAST_EVERY_S <= every_s < math.inf:
-        raise FlightError(
+        raise BadInput(
             f"a reading every {every_s:g} s is not allowed; wanted a number from {LEAST_EVERY_S:g}"
         )
     if origin is not None and not all(map(math.isfinite, origin)):
-        raise FlightError(f"origin {origin[0]:g},{origin[1]:g} is not allowed; wanted m north and m east")
+        raise BadInput(f"origin {origin[0]:g},{origin[1]:g} is not allowed; wanted m north and m east")
     if area_m is not None and not 0.0 < area_m < math.inf:
-        raise FlightError(f"an area of {area_m:g} m is not allowed; wanted a number above 0")
+        raise BadInput(f"an area of {area_m:g} m is not allowed; wanted a number above 0")
 
 
 class Taken(NamedTuple):

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from ground.tlog import onboard
 from ground.tlog.frames import Integers, log_clock, scan
 from link.bus.mavlink import Message
+from link.cli import BadInput
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
@@ -36,10 +37,6 @@ def few(texts: Sequence[str]) -> str:
 def counted(count: int, what: str) -> str:
     """Write a number and its noun, in the plural if needed."""
     return f"{count:,} {what}{'' if count == 1 else 's'}"
-
-
-class FlightError(ValueError):
-    """A log does not contain what was requested, or the request is not allowed; the message is one line."""
 
 
 class FlightLog:
@@ -97,23 +94,23 @@ class FlightLog:
 
 
 def open_log(path: Path, gas: str = "") -> FlightLog:
-    """Return a log's records, with notes about the file. Raises FlightError if it cannot be read or is none.
+    """Return a log's records, with notes about the file. Raises BadInput if it cannot be read or is none.
 
     gas: the message and field that an on-board log's gas values are read from, if it is not a named value.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise FlightError(f"{path} cannot be read: {error.strerror}") from None
+        raise BadInput(f"{path} cannot be read: {error.strerror}") from None
     told = ""
     is_onboard = data.startswith((onboard.DATAFLASH, onboard.ULOG))
     if is_onboard:
         data, told = onboard.telemetry(data, gas)
     log = FlightLog(data, is_onboard)
     if is_onboard and not len(log):
-        raise FlightError(f"{path} is {told}, but none that tells of a position, the wind or gas")
+        raise BadInput(f"{path} is {told}, but none that tells of a position, the wind or gas")
     if not len(log):
-        raise FlightError(
+        raise BadInput(
             f"{path} contains no MAVLink 1 or 2 frame; wanted a telemetry log (.tlog), as ground stations "
             "write it, or a log that an autopilot writes on board (.bin, .ulg)"
         )
@@ -170,7 +167,7 @@ class Autopilot(NamedTuple):
 def choose(log: FlightLog, system: int | None) -> Autopilot:
     """Return the autopilot that sent the most positions, of one system or of any, and note all senders.
 
-    Raises FlightError if there is none.
+    Raises BadInput if there is none.
     """
     makers, stations = {}, set()
     for _, m in log.messages(log.select(None, (HEARTBEAT,))):
@@ -183,12 +180,12 @@ def choose(log: FlightLog, system: int | None) -> Autopilot:
     systems = sorted({of for of, _ in senders})
     present = ", ".join(map(str, systems))
     if system is not None and system not in systems:
-        raise FlightError(f"system {system} is not in the log; its systems: {present}")
+        raise BadInput(f"system {system} is not in the log; its systems: {present}")
     positions = log.senders(log.select(system, (LOCAL, GLOBAL, GPS)))
     candidates = [sender for sender in senders if system in (None, sender[0])]
     autopilots = [sender for sender in candidates if sender in makers or sender[1] == AUTOPILOT]
     if system is None and not autopilots:
-        raise FlightError(
+        raise BadInput(
             f"no vehicle is in the log: none of its systems ({present}) is an autopilot; choose one with "
             "--sysid"
         )

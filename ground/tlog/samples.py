@@ -10,10 +10,11 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog.clock import Floats, VehicleClock
 from ground.tlog.frames import Integers
-from ground.tlog.log import LOCAL, NAMES, Autopilot, FlightError, FlightLog, counted, few
+from ground.tlog.log import LOCAL, NAMES, Autopilot, FlightLog, counted, few
 from ground.tlog.onboard import NAME_LENGTH
 from ground.tlog.track import NorthEastUp, Reported
 from link.bus.mavlink import BadFrame, Message, unpack_reading
+from link.cli import BadInput
 from plume.world import float32
 
 Pair = tuple[float, float]
@@ -45,7 +46,7 @@ class GasSource(NamedTuple):
 def parse_gas(text: str, is_onboard: bool = False) -> GasSource:
     """Parse NAME (of a NAMED_VALUE_FLOAT or NAMED_VALUE_INT) or MESSAGE.FIELD, either followed by *FACTOR.
 
-    Of an on-board log, the message has become a named value already. Raises FlightError.
+    Of an on-board log, the message has become a named value already. Raises BadInput.
     """
     what, star, number = text.partition("*")
     try:
@@ -53,7 +54,7 @@ def parse_gas(text: str, is_onboard: bool = False) -> GasSource:
     except ValueError:
         factor = math.nan
     if not 0.0 < factor < math.inf:
-        raise FlightError(f"{text!r} is not allowed; wanted a number above 0 after the *")
+        raise BadInput(f"{text!r} is not allowed; wanted a number above 0 after the *")
     message, _, field = what.partition(".")
     if is_onboard:
         return GasSource(text, NAMED, "value", what[:NAME_LENGTH], factor)
@@ -62,10 +63,10 @@ def parse_gas(text: str, is_onboard: bool = False) -> GasSource:
         numbers = [name for name in kind.fieldnames if _is_number(kind, name)]
         if field not in numbers:
             known = ", ".join(numbers) or "it has none"
-            raise FlightError(f"{text!r} is not allowed; wanted a numeric field of {message}: {known}")
+            raise BadInput(f"{text!r} is not allowed; wanted a numeric field of {message}: {known}")
         return GasSource(text, (kind.id,), field, None, factor)
     if not 1 <= len(what) <= NAME_LENGTH:
-        raise FlightError(
+        raise BadInput(
             f"{text!r} is not allowed; wanted the NAME of a NAMED_VALUE_FLOAT, 1 to {NAME_LENGTH} "
             "characters, or MESSAGE.FIELD such as SCALED_PRESSURE3.temperature, either followed by *FACTOR"
         )
@@ -116,7 +117,7 @@ def recorded(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple
 def read_gas(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, source: GasSource, left_out: Counter[str]
 ) -> list[LoggedGas]:
-    """Return the gas values in order of time; raises FlightError if there are none."""
+    """Return the gas values in order of time; raises BadInput if there are none."""
     said: list[tuple[int, int, int]] = []
     values: list[float] = []
     taken: set[tuple[int, ...]] = set()
@@ -134,7 +135,7 @@ def read_gas(
         said.append((index, component, boot_ms))
         values.append(value)
     if not said:
-        raise FlightError(_no_gas(log, autopilot, source))
+        raise BadInput(_no_gas(log, autopilot, source))
     log.notes.append(f"gas: {counted(len(said), 'value')} of {source.text}")
     records, components, own_ms = np.array(said, np.int64).T
     times_ms, by_log = _timed(clock, records, components, own_ms)
@@ -191,7 +192,7 @@ def _no_gas(log: FlightLog, autopilot: Autopilot, source: GasSource) -> str:
 
 
 def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: Pair | None) -> Air:
-    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168); raises FlightError if
+    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168); raises BadInput if
     none exists.
     """
     if wind is not None:
@@ -203,7 +204,7 @@ def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: P
         if said:
             log.notes.append(f"wind: {len(said):,} {NAMES[message_id]}")
             return _changing(Reported(clock, said))
-    raise FlightError(
+    raise BadInput(
         f"system {autopilot.system} sent no wind (WIND_COV or WIND); give it with --wind SPEED,FROM"
     )
 

@@ -10,8 +10,9 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog.clock import Floats, VehicleClock
 from ground.tlog.frames import Integers
-from ground.tlog.log import GLOBAL, GPS, HEARTBEAT, LISTED, LOCAL, Autopilot, FlightError, FlightLog
+from ground.tlog.log import GLOBAL, GPS, HEARTBEAT, LISTED, LOCAL, Autopilot, FlightLog
 from link.bus.mavlink import Message
+from link.cli import BadInput
 from plume.geodesy import to_local
 
 NorthEastUp = tuple[float, float, float]  # m
@@ -106,7 +107,7 @@ class FlownPath:
 def flown(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, foreign: Sequence[int] = ()
 ) -> FlownPath:
-    """Return the path; raises FlightError if the vehicle sent no position. foreign: records of positions in
+    """Return the path; raises BadInput if the vehicle sent no position. foreign: records of positions in
     another frame.
 
     Fixes come from LOCAL_POSITION_NED (32), else GLOBAL_POSITION_INT (33); from GPS_RAW_INT (24) only if
@@ -122,7 +123,7 @@ def flown(
     kinds = ((local, "LOCAL_POSITION_NED"), (around, name))
     told = [f"{len(track):,} {kind}" for track, kind in kinds if len(track)]
     if not told:
-        raise FlightError(
+        raise BadInput(
             f"system {autopilot.system} sent no position; wanted LOCAL_POSITION_NED, or GLOBAL_POSITION_INT "
             "or GPS_RAW_INT with a fix"
         )
