@@ -57,8 +57,9 @@ class RecordedScene:
         return list(self._encoder.encode_pose(self._history.craft, stamp_ns)) if LOCAL in news else []
 
     def _news(self, entry: Entry) -> set[int]:
-        """Return the telemetry of a payload that is to be followed: of each kind of motion, the first
-        message of a slot of time.
+        """Return the kinds of telemetry in a payload that are to be followed.
+
+        Of each kind of motion these are the first messages of each slot of time.
         """
         news = set()
         slot = pose_slot(entry.simulation_s)

@@ -1,6 +1,4 @@
-"""What a record holds, taken message by message: times, counts and the search, however large the record
-is.
-"""
+"""What a record holds, taken message by message: times, counts and the search, however large it is."""
 
 import math
 from array import array
@@ -85,9 +83,7 @@ class Survey:
         ]
 
     def gaps(self) -> list[str]:
-        """Return a line for each kind of gap: unanswered readings, missing steps, pauses, restarted
-        services.
-        """
+        """Return a line for each kind of gap: readings, steps, pauses, and restarts of services."""
         lines = []
         if unanswered := sorted(time_ms for time_ms in self.asked if time_ms % WRAP_MS not in self.answered):
             times = [f"{time_ms / 1000:.2f} s" for time_ms in unanswered[:LISTED]]
@@ -96,9 +92,8 @@ class Survey:
                 "simulation"
             )
         steps = sorted(self.trace)
-        if (
-            missing := max(steps, default=-1) + 1 - len(steps)
-        ):  # counted, not listed: a foreign message may have any step
+        # Missing ones are counted, not listed: a foreign message may have any step.
+        if missing := max(steps, default=-1) + 1 - len(steps):
             absent = (
                 str(step) for before, after in pairwise([-1, *steps]) for step in range(before + 1, after)
             )
@@ -157,8 +152,9 @@ def _line(text: str) -> str:
 
 
 def _few(texts: Sequence[str], count: int = 0) -> str:
-    """Return the first few texts as a list and the number of the others; `count` is their total if not all
-    are given.
+    """Return the first few texts as a list and the number of the others.
+
+    `count` is their total if not all are given.
     """
     more = max(len(texts), count) - LISTED
     return ", ".join(texts[:LISTED]) + (f" and {more:,} more" if more > 0 else "")

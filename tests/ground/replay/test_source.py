@@ -133,9 +133,7 @@ def test_behind_a_damaged_place_nothing_is_compared_but_all_is_replayed(tmp_path
     verified, _ = find(
         Namespace(
             log=log, **FLAGS | {"verify": True, "ignore": ["belief.p_value"], "connect": "tcp/127.0.0.1:1"}
-        ),
-        {},
-        {},
+        )
     )
     assert [entry.simulation_s for entry in verified.entries] == [0.0, 1.0, 2.0, 3.0]
     assert sorted(verified.then) == [(time, "belief") for time in (0, 1000, 2000, 3000)]
