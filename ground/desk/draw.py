@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _history(path: Path) -> tuple["History", bool]:
-    """Return what a log tells, and whether it is damaged. Raises cli.BadInput."""
+    """Return what a log tells, and whether it is damaged. Raises BadInput."""
     from link.record.reader import RecordError, read
     from scene.follow.recorded import history_of, remark_on
 
@@ -113,7 +113,7 @@ def _history(path: Path) -> tuple["History", bool]:
 def _beliefs(history: "History", steps: Sequence[int] | None) -> list["Scene"]:
     """Return the scenes whose beliefs the picture shows.
 
-    Raises cli.BadInput on a step that the log has not.
+    Raises BadInput on a step that the log has not.
     """
     from scene.drawing import BELIEFS
 

@@ -89,10 +89,8 @@ def read(
         air = read_wind(log, autopilot, clock, wind)
     taken = _take(samples, every, flying, flown, air, left_out)
     places = [place for _, place, _ in taken]
-    if plume:
-        side_m, corner = _area(places, origin, area_m or AREA_M, None)
-    else:
-        side_m, corner = _area(places, origin, area_m, home)
+    fitted = (area_m or AREA_M, None) if plume else (area_m, home)
+    side_m, corner = _area(places, origin, *fitted)
     readings = _readings(taken, corner, side_m, plume, left_out)
     out = ", ".join(f"{count:,} {what}" for what, count in left_out.items())
     if not readings:
@@ -103,8 +101,10 @@ def read(
     log.notes.append(_note_on_readings([reading for reading, _ in readings], every))
     log.notes += [f"left out: {out}"] * bool(out)
     globe = "" if where.lat_deg is None else f" ({where.lat_deg:.7f}, {where.lon_deg:.7f})"
-    south_west = f"{where.north_m:g} m north and {where.east_m:g} m east of the local origin{globe}"
-    log.notes.append(f"area: side {side_m:g} m, south-west corner {south_west}")
+    log.notes.append(
+        f"area: side {side_m:g} m, south-west corner {where.north_m:g} m north and {where.east_m:g} m east "
+        f"of the local origin{globe}"
+    )
     return LoggedFlight(_entries(log, autopilot, clock, readings), autopilot.system, side_m, where, log.notes)
 
 
@@ -114,8 +114,10 @@ def _check(
     if wind is not None and plume is not None:
         raise BadInput("a wind is not allowed with a plume, which has its own")
     if wind is not None and not (0.0 <= wind[0] <= STRONGEST_MPS and abs(wind[1]) <= 360.0):
-        wanted = f"a speed from 0 to {STRONGEST_MPS:g} m/s and a direction within ±360°"
-        raise BadInput(f"wind {wind[0]:g},{wind[1]:g} is not allowed; wanted {wanted}")
+        raise BadInput(
+            f"wind {wind[0]:g},{wind[1]:g} is not allowed; wanted a speed from 0 to {STRONGEST_MPS:g} m/s "
+            "and a direction within ±360°"
+        )
     if every_s is not None and not LEAST_EVERY_S <= every_s < math.inf:
         raise BadInput(
             f"a reading every {every_s:g} s is not allowed; wanted a number from {LEAST_EVERY_S:g}"
@@ -163,8 +165,9 @@ def _take(
     air: Air,
     left_out: Counter[str],
 ) -> list[Taken]:
-    """Return the first sample of each interval that was taken in the air, at a known place and in a known
-    wind.
+    """Return the first sample of each interval.
+
+    It was taken in the air, at a known place and in a known wind.
     """
     taken: list[Taken] = []
     interval = None
@@ -207,8 +210,9 @@ def _area(
 def _readings(
     taken: Sequence[Taken], corner: Pair, side_m: float, plume: World | None, left_out: Counter[str]
 ) -> list[tuple[Reading, LoggedGas]]:
-    """Return the readings inside the area, with times shifted if they do not fit MAVLink's 32-bit
-    time_boot_ms.
+    """Return the readings inside the area.
+
+    Their times are shifted if they do not fit MAVLink's 32-bit time_boot_ms.
     """
     fits = bool(taken) and taken[0].sample.time_ms >= 0 and taken[-1].sample.time_ms < WRAP_MS
     first_ms = 0 if fits or not taken else taken[0].sample.time_ms
@@ -257,7 +261,6 @@ def _entries(
     ]
     codec = Codec(autopilot.system, AUTOPILOT)
     for reading, sample in readings:
-        time_s = reading.time_boot_ms / 1000.0
-        payload = pack_reading(codec, reading)
+        time_s, payload = reading.time_boot_ms / 1000.0, pack_reading(codec, reading)
         entries.append(Entry(READING.name, 1000 * sample.logged_us, time_s, payload))
     return sorted(entries, key=lambda entry: entry.published_ns)

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog import onboard
 from ground.tlog.frames import Integers, log_clock, scan
+from link.bus.frames import MAVLINK_1, MAVLINK_2
 from link.bus.mavlink import Message
 from link.cli import BadInput
 
@@ -25,6 +26,7 @@ MAKERS = {
     mavlink.MAV_AUTOPILOT_PX4: "PX4",
     mavlink.MAV_AUTOPILOT_GENERIC: "generic autopilot",
 }
+VERSIONS = {MAVLINK_1: "1", MAVLINK_2: "2"}  # by the first byte of a frame
 LISTED = 5  # notes list this many items of a kind and count the rest
 
 
@@ -54,7 +56,6 @@ class FlightLog:
         self._parser = mavlink.MAVLink(None)
 
     def __len__(self) -> int:
-        """Number of records."""
         return len(self.records.starts)
 
     def select(
@@ -122,17 +123,17 @@ def open_log(path: Path, gas: str = "") -> FlightLog:
 
 def _note_file(name: str, log: FlightLog) -> None:
     records, clock, notes = log.records, log.clock, log.notes
-    version_1 = sum(log.data[start] == mavlink.PROTOCOL_MARKER_V1 for start in records.starts.tolist())
-    counts = (("1", version_1), ("2", len(log) - version_1))
-    versions = " and ".join(version for version, count in counts if count)
+    markers = {log.data[start] for start in records.starts.tolist()}
+    versions = " and ".join(VERSIONS[marker] for marker in sorted(markers, reverse=True))
     began = datetime.fromtimestamp(int(log.times_us[0]) / 1e6, UTC)
     span = f" in {log.seconds(-1):,.1f} s from {began:%Y-%m-%d %H:%M:%S} UTC" if log.is_timed else ""
     notes.append(f"{name}: {counted(len(log), 'frame')} of MAVLink {versions}{span}")
     if records.garbage:
-        amount = counted(sum(count for _, count in records.garbage), "byte")
         first_s = log.seconds(min(records.garbage[0][0], len(log) - 1))
-        runs = counted(len(records.garbage), "run")
-        notes.append(f"skipped: {amount} of garbage in {runs}, the first at {first_s:.1f} s")
+        notes.append(
+            f"skipped: {counted(sum(count for _, count in records.garbage), 'byte')} of garbage in "
+            f"{counted(len(records.garbage), 'run')}, the first at {first_s:.1f} s"
+        )
     for counts_by_id, told in (
         (records.refused, "among them, frames with a wrong checksum (damaged or from another dialect)"),
         (records.unknown, "frames of unknown messages, whose checksums cannot be verified"),
@@ -146,8 +147,10 @@ def _note_file(name: str, log: FlightLog) -> None:
     if records.cut_off:
         notes.append(f"the last record is cut off after {counted(records.cut_off, 'byte')}")
     if log.is_timed and clock.damaged:
-        told = "each takes the time of the frame before it"
-        notes.append(f"frames with a missing or impossible time: {clock.damaged:,}; {told}")
+        notes.append(
+            f"frames with a missing or impossible time: {clock.damaged:,}; each takes the time of the frame "
+            "before it"
+        )
     if clock.jumps:
         jumps = [f"{back_us / 1e6:,.1f} s at {log.seconds(index):.1f} s" for index, back_us in clock.jumps]
         notes.append(f"the log's clock jumps back by {few(jumps)}: later times are corrected")

@@ -18,10 +18,9 @@ from link.cli import BadInput
 from plume.world import float32
 
 Pair = tuple[float, float]
+# Maps the vehicle's time in ms to the wind, (x east, y north) m/s, pointing to where it comes from; None if
+# unknown.
 Air = Callable[[float], Pair | None]
-"""Maps the vehicle's time in ms to the wind, (x east, y north) m/s, pointing to where it comes from; None
-if unknown.
-"""
 
 NAMED = (mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, mavlink.MAVLINK_MSG_ID_NAMED_VALUE_INT)
 WIND_COV, WIND = mavlink.MAVLINK_MSG_ID_WIND_COV, mavlink.MAVLINK_MSG_ID_WIND
@@ -91,15 +90,14 @@ class LoggedGas(NamedTuple):
 def recorded(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[list[LoggedGas], list[int]]:
     """Return the readings of a search that a log holds as they were said on its bus, each once.
 
-    Also returns the records of their LOCAL_POSITION_NEDs: these are m from home, wherever the vehicle has the
+    Also return the records of their LOCAL_POSITION_NEDs: these are m from home, wherever the vehicle has the
     origin of its own frame.
     """
     fixes: list[int] = []
     samples: dict[int, LoggedGas] = {}
-    records = log.records
     for first in log.select(autopilot.system, READING[:1]).tolist():
         three = slice(first, first + 3)
-        if tuple(records.message_ids[three]) != READING or len(log.senders(three)) > 1:
+        if tuple(log.records.message_ids[three]) != READING or len(log.senders(three)) > 1:
             continue
         try:
             said = unpack_reading(b"".join(log.frame(index) for index in range(first, first + 3)))
@@ -118,8 +116,7 @@ def read_gas(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, source: GasSource, left_out: Counter[str]
 ) -> list[LoggedGas]:
     """Return the gas values in order of time; raises BadInput if there are none."""
-    said: list[tuple[int, int, int]] = []
-    values: list[float] = []
+    said: list[tuple[int, int, int, float]] = []
     taken: set[tuple[int, ...]] = set()
     boots = clock.boots(np.arange(len(log)))
     for index, m in log.messages(log.select(autopilot.system, source.message_ids)):
@@ -132,19 +129,18 @@ def read_gas(
             left_out["repeated"] += 1
             continue
         taken.add(this)
-        said.append((index, component, boot_ms))
-        values.append(value)
+        said.append((index, component, boot_ms, value))
     if not said:
         raise BadInput(_no_gas(log, autopilot, source))
     log.notes.append(f"gas: {counted(len(said), 'value')} of {source.text}")
-    records, components, own_ms = np.array(said, np.int64).T
+    records, components, own_ms = np.array([sent[:3] for sent in said], np.int64).T
     times_ms, by_log = _timed(clock, records, components, own_ms)
     if by_log:
         log.notes.append(
             f"gas values from senders without the vehicle's clock: {by_log:,}; their log times are used"
         )
     with np.errstate(over="ignore"):
-        gas = (np.array(values, np.float64) * source.factor).astype(np.float32)
+        gas = (np.array([value for *_, value in said], np.float64) * source.factor).astype(np.float32)
     order = np.argsort(times_ms, kind="stable")
     logged_us = np.maximum.accumulate(log.times_us[records[order]])
     samples: list[LoggedGas] = []
@@ -164,10 +160,10 @@ def read_gas(
 def _timed(
     clock: VehicleClock, records: Integers, components: Integers, boot_ms: Integers
 ) -> tuple[Floats, int]:
-    """Return the vehicle's times of gas values, and how many come from the log because their sender has
-    another clock or none.
+    """Return the vehicle's times of gas values, and how many come from the log.
 
-    Where a sender has the vehicle's clock, an older value was lost at first, and came when it was repeated.
+    They do where a sender has another clock or none. Where it has the vehicle's clock, an older value was
+    lost at first, and came when it was repeated.
     """
     logged_ms, own_ms = clock.logged_ms(records), clock.own_ms(records, boot_ms)
     is_own = own_ms - logged_ms <= OWN_CLOCK_MS
@@ -184,16 +180,17 @@ def _no_gas(log: FlightLog, autopilot: Autopilot, source: GasSource) -> str:
         names[m.get_srcSystem()].add(m.name)
     own = [name if name.isprintable() else repr(name) for name in sorted(names[autopilot.system])]
     elsewhere = "".join(f"; system {system} did" for system in sorted(names) if source.name in names[system])
-    there = few(own) or "none"
     return (
-        f"system {autopilot.system} sent no {source.text}{elsewhere}; its named values: {there}; "
-        "choose one with --gas, or simulate a plume along its path with --plume MISSION.yaml"
+        f"system {autopilot.system} sent no {source.text}{elsewhere}; its named values: "
+        f"{few(own) or 'none'}; choose one with --gas, or simulate a plume along its path with "
+        "--plume MISSION.yaml"
     )
 
 
 def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: Pair | None) -> Air:
-    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168); raises BadInput if
-    none exists.
+    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168).
+
+    Raises BadInput if none exists.
     """
     if wind is not None:
         log.notes.append(f"wind: {wind[0]:g} m/s from {wind[1]:g}°, as given")

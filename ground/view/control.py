@@ -1,6 +1,4 @@
-"""Commands of an operator to a vehicle on the bus, as any ground station sends them, and the vehicle's
-answers.
-"""
+"""Commands of an operator to a vehicle on the bus, as any ground station sends them, and its answers."""
 
 import asyncio
 import time
@@ -27,8 +25,8 @@ from link.modes import Mode, meaning
 from scene.follow.area import HEARTBEAT
 from scene.follow.telemetry import TEXT, frames
 
+# Commands that wait for nothing: they replace one that is not answered yet.
 URGENT: tuple[CommandName, ...] = ("return", "land")
-"""Commands that wait for nothing: they replace one that is not answered yet."""
 AGAIN_S = 0.4  # time after which a command that nobody has acknowledged is sent again
 ANSWER_S = TRIES * AGAIN_S  # longest time without an acknowledgement
 LOOK_S = 0.05  # longest time between two looks at a command that is not over
@@ -46,9 +44,7 @@ class Awaited:
     """One command and what its vehicle says meanwhile. Its times are of one clock, s."""
 
     def __init__(self, name: CommandName, system: int, component: int = AUTOPILOT) -> None:
-        """Begin with a command to a component of the vehicle: its simulated autopilot, or the search that
-        flies a real one.
-        """
+        """Begin with a command to a component: the simulated autopilot, or the search of a real one."""
         self._name, self._system, self._component = name, system, component
         self._run = CommandRun(order(name, system, component), self._seen, lambda: self._reason, AGAIN_S)
         self._texts = Texts()
@@ -85,11 +81,10 @@ class Awaited:
         return (frame.system, frame.component) == (self._system, speaker)
 
     def _seen(self) -> bool:
-        """Whether the vehicle does it; once it has accepted, also whether it is through with it: a return
-        ends as a landing, motors off.
+        """Whether the vehicle does it, or once it has accepted, is through with it.
 
-        A real vehicle that is given back has to accept it: a pilot may fly it in the very mode in which the
-        search does.
+        A return ends as a landing, motors off. A real vehicle that is given back has to accept it: a pilot
+        may fly it in the very mode in which the search does.
         """
         given_back = self._name == "resume" and self._component == SEARCH
         if self._mode == WANTED[self._name].name and (self._run.accepted or not given_back):

@@ -30,10 +30,9 @@ from scene.foxglove import SceneEncoder, schema_of
 from scene.scene import Measurement, Scene
 
 HOST = "127.0.0.1"
+# Topic of the readings and what was believed after them, as JSON with the names that a record has: one
+# layout plots both.
 BELIEF = "belief"
-"""Topic of the readings and what was believed after them, as JSON with the names that a record has: one
-layout plots both.
-"""
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # the protocol's names, the newer first
 MESSAGE = struct.Struct("<BIQ")  # before a message: 1, the viewer's number for its topic, ns since 1970
 MOST_VIEWERS = 20

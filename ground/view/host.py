@@ -26,17 +26,12 @@ STREAM_EVERY_S = 0.05  # shortest time between two scenes for Foxglove
 OVER = signal.SIGUSR1  # the launcher's signal that the mission is over
 
 
-def serve(
-    args: argparse.Namespace, word: str, page: socket.socket, local: socket.socket | None = None
-) -> int:
-    """Serve the page, and Foxglove if there is a socket for it, until interrupted. Returns the exit status.
-    Raises RecordError.
+async def serve(args: argparse.Namespace, word: str, page: socket.socket, local: socket.socket | None) -> int:
+    """Serve the page, and Foxglove if there is a socket for it, until interrupted.
+
+    Returns the exit status. Raises RecordError.
     """
-
-    async def served() -> int:
-        return await Host(args, word, page, local).run()
-
-    return asyncio.run(served())
+    return await Host(args, word, page, local).run()
 
 
 class Host:

@@ -28,21 +28,18 @@ from link.record.tap import Tap
 from scene.follow.recorded import begun
 from scene.scene import Scene
 
+# Commands go out now or never: what waited here would go out late, when nobody wants it any more. They are
+# sent again anyway.
 COMMANDS = replace(MAVLINK_IN, delivery=replace(MAVLINK_IN.delivery, blocking=False))
-"""Commands go out now or never: what waited here would go out late, when nobody wants it any more. They
-are sent again anyway.
-"""
+# A namespace and its slash. A token may also be for a pattern of keys, such as uav/*: that is no vehicle.
 NAMESPACE = re.compile(r"[^*$\x00-\x1f\x7f]{1,200}/")
-"""A namespace and its slash. A token may also be for a pattern of keys, such as uav/*: that is no vehicle.
-"""
 MOST_CHANGES = 10_000  # changes that wait; beyond that the oldest are dropped
 EVERY_S = 0.01  # how often messages are taken
 LOOK_S = 0.2  # how often it looks for the router, and tries again to join it
-CONNECT_TIMEOUT_S = 1.0
+CONNECT_TIMEOUT_MS = 1000
+# A part that is back within this time was not gone; a router that is back gets as long to name the parts
+# that it knows.
 GONE_AFTER_S = 0.5
-"""A part that is back within this time was not gone; a router that is back gets as long to name the parts
-that it knows.
-"""
 JUDGE_S = 1.0  # longest time between two versions of what there is to see: silent parts are judged anew
 
 
@@ -55,8 +52,9 @@ class Presence(NamedTuple):
 
 
 class Roster(Bus):
-    """An observer of a whole router, without a namespace of its own: it sees the services of every
-    namespace by their liveliness tokens.
+    """An observer of a whole router, without a namespace of its own.
+
+    It sees the services of every namespace by their liveliness tokens.
     """
 
     def __init__(self, connect: str, secure: Path | None = None) -> None:
@@ -67,7 +65,7 @@ class Roster(Bus):
             None,
             announced=False,
             secure=secure,
-            connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S),
+            connect__timeout_ms=CONNECT_TIMEOUT_MS,
         )
         self._changes: deque[Presence] = deque(maxlen=MOST_CHANGES)
         tokens = f"**/{HEALTH.name.replace('<service>', '*')}"
@@ -91,8 +89,8 @@ class Roster(Bus):
         return [self._changes.popleft() for _ in range(len(self._changes))]
 
 
+# A scene, which mission it is of, and when the newest message in it was published, ms since 1970.
 Built = tuple[Scene, object, float | None]
-"""A scene, which mission it is of, and when the newest message in it was published, ms since 1970."""
 
 
 class LiveVehicle:
@@ -111,9 +109,14 @@ class LiveVehicle:
         self._built: tuple[int, Built] | None = None
         self._judge_at = 0.0
         self._alive: dict[str, bool] = {}
-        timeout_ms = round(1000 * CONNECT_TIMEOUT_S)
         self._bus = Tap(
-            "view", router, name, "error", announced=False, secure=secure, connect__timeout_ms=timeout_ms
+            "view",
+            router,
+            name,
+            "error",
+            announced=False,
+            secure=secure,
+            connect__timeout_ms=CONNECT_TIMEOUT_MS,
         )
         self._bus.subscribe(*KEYS)
 
@@ -129,14 +132,12 @@ class LiveVehicle:
         }
 
     def scene(self, _at_s: float | None = None) -> Built:
-        """Return the newest scene, which of its missions it is of, and when the newest message in it was
-        published, ms since 1970.
-        """
+        """Return the newest scene, its mission, and when the newest message in it was published."""
         with self._lock:
             if self._built is None or self._built[0] != self.version:
-                history = self.history
-                scene = history.at(wall_s=self._frozen_s or time.time())
-                self._built = self.version, (scene, history.missions, 1000 * history.wall_s or None)
+                scene = self.history.at(wall_s=self._frozen_s or time.time())
+                published_ms = 1000 * self.history.wall_s or None
+                self._built = self.version, (scene, self.history.missions, published_ms)
             return self._built[1]
 
     @property
@@ -146,9 +147,7 @@ class LiveVehicle:
 
     @property
     def commanded(self) -> int:
-        """The component that obeys an operator's words: the simulated autopilot, or the search that flies
-        a real one.
-        """
+        """The component that obeys an operator: the simulated autopilot, or the search of a real one."""
         return SEARCH if self.history.is_real else AUTOPILOT
 
     def send(self, payload: bytes) -> None:
@@ -235,7 +234,7 @@ class LiveFleet:
     def end(self) -> None:
         """Leave the bus. What there is to see stays as it is."""
         self._ended.set()
-        self._thread.join(CONNECT_TIMEOUT_S + 1.0)
+        self._thread.join(CONNECT_TIMEOUT_MS / 1000 + 1.0)
 
     # ---- the router ----
 

@@ -39,8 +39,9 @@ class RecordedVehicle:
         }
 
     def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:
-        """Return the scene at a simulation time, by default the last one, and which mission it is of; a
-        record is not published.
+        """Return the scene at a simulation time, by default the last one, and which mission it is of.
+
+        A record is not published.
         """
         return self._history.at(math.inf if at_s is None else at_s), self._history.missions, None
 

@@ -1,5 +1,6 @@
-"""How the page and the stream for Foxglove are served: who is refused, how many may wait, and when a slow
-client is gone.
+"""How the page and the stream for Foxglove are served.
+
+Who is refused, how many may wait, and when a slow client is gone.
 """
 
 import asyncio
@@ -110,8 +111,9 @@ async def converse(
 
 
 def _make_room(connections: set[Any]) -> None:
-    """Cut the oldest connection that is no page, if there are too many: those that have asked for nothing
-    yet, or that only get files or a refusal.
+    """Cut the oldest connection that is no page, if there are too many.
+
+    They have asked for nothing yet, or only get files or a refusal.
     """
     waiting = [each for each in connections if each.waiting_since]
     if len(waiting) > MOST_WAITING:
