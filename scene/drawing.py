@@ -1,5 +1,4 @@
-"""The drawing of scenes: one figure with the map of the search and, beside it, the curves of spread and
-gas.
+"""The drawing of scenes: one figure with the map of the search and the curves of spread and gas.
 
 A figure for print shows a whole mission and the beliefs at chosen steps; the same figure, shown scene by
 scene, is an animation.
@@ -27,7 +26,7 @@ from matplotlib.patches import Ellipse, FancyArrowPatch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from scene.scene import Release, Scene, ellipse
+from scene.scene import Release, Scatter, Scene, ellipse
 
 # Settings of matplotlib while a picture is made and saved.
 STYLE: Any = {
@@ -58,6 +57,7 @@ PLUME = LinearSegmentedColormap.from_list(
 INK = "#222222"
 # Colours of the beliefs shown, of Okabe and Ito's palette but for the last.
 BELIEFS = ("#56b4e9", "#009e73", "#0072b2", "#cc79a7", "#882255")
+PATH: dict[str, Any] = {"color": INK, "linewidth": 1.2}
 START: dict[str, Any] = {
     "marker": "o",
     "markersize": 7,
@@ -96,6 +96,7 @@ READINGS: dict[str, Any] = {
     "edgecolors": INK,
     "linewidths": 0.7,
 }
+NO_SCATTER = Scatter(np.empty((0, 2), np.float32), np.empty(0, np.float32))
 
 
 def ticks(axis: Axis, values: Iterable[float], form: str = "{:g}") -> None:
@@ -107,14 +108,12 @@ def ticks(axis: Axis, values: Iterable[float], form: str = "{:g}") -> None:
 
 def plume(ax: Axes, release: Release, area_m: float) -> AxesImage:
     """Shade the mean gas of a plume on a log scale."""
-    gas = release.gas(area_m, CELLS)
-    extent = (0, area_m, 0, area_m)
     return ax.imshow(
-        np.maximum(gas, GAS[0]),
+        np.maximum(release.gas(area_m, CELLS), GAS[0]),
         norm=LogNorm(*GAS),
         cmap=PLUME,
         origin="lower",
-        extent=extent,
+        extent=(0, area_m, 0, area_m),
         interpolation="bilinear",
     )
 
@@ -140,27 +139,20 @@ class _Cloud:
             animated=True,
         )
         drawing.map.add_patch(self.ring)
-        style: dict[str, Any] = {
-            "color": colour,
-            "marker": "o",
-            "markersize": 7,
-            "linestyle": "none",
-            "zorder": 4,
-            "animated": True,
-        }
-        (self.spread,), (self.gas,) = (chart.plot([], [], **style) for chart in (drawing.spread, drawing.gas))
+        (self.spread,), (self.gas,) = (
+            chart.plot(
+                [], [], color=colour, marker="o", markersize=7, linestyle="none", zorder=4, animated=True
+            )
+            for chart in (drawing.spread, drawing.gas)
+        )
 
     def show(self, scene: Scene | None) -> None:
         """Show the newest belief of a scene, or none."""
         last = scene.measurements[-1] if scene and scene.measurements else None
-        places, sizes = np.empty((0, 2), np.float32), np.empty(0, np.float32)
-        if scene and scene.scatter is not None:
-            places, weights = scene.scatter.places, scene.scatter.weights
-            sizes = np.minimum(
-                DOT * min(len(weights), MANY) * weights, 20 * DOT
-            )  # a dot's area is its weight
-        self.dots.set_offsets(places)
-        self.dots.set_sizes(sizes)
+        cloud = scene.scatter if scene and scene.scatter else NO_SCATTER
+        areas = DOT * min(len(cloud.weights), MANY) * cloud.weights  # as the weights
+        self.dots.set_offsets(cloud.places)
+        self.dots.set_sizes(np.minimum(areas, 20 * DOT))
         self.ring.set_visible(last is not None)
         if last:
             longer, shorter, angle = ellipse(last.covariance)
@@ -212,10 +204,8 @@ class Drawing:
                 cloud.show(believed)
             said = [it.measurements[-1].step for it in beliefs if it.measurements]
             self._lay_legend([""] if vehicle else [f" at step {step}" for step in said], vehicle)
-            title = ": ".join(
-                filter(None, (self._backdrop.title, scene.ending.verdict if scene.ending else ""))
-            )
-            self._title.set_text(title)
+            verdict = scene.ending.verdict if scene.ending else ""
+            self._title.set_text(": ".join(filter(None, (self._backdrop.title, verdict))))
             self._text.set_text(_state(scene))
         return self
 
@@ -277,8 +267,8 @@ class Drawing:
     def _make_room(self, scene: Scene) -> None:
         """Widen the charts if a scene has more steps or more gas than fits."""
         gas = [it.gas for it in scene.measurements if math.isfinite(it.gas)]
-        steps = max((it.step for it in scene.measurements), default=0)
-        needed = steps, -min(gas, default=0.0), max(gas, default=0.0)
+        steps = [it.step for it in scene.measurements]
+        needed = max(steps, default=0), -min(gas, default=0.0), max(gas, default=0.0)
         room = [had if need <= had else 2.0 * need for had, need in zip(self._room, needed, strict=True)]
         if room != self._room:
             self._room = room
@@ -291,15 +281,8 @@ class Drawing:
         self._named = list(beliefs)
         if self.figure.legends:
             self.figure.legends[0].remove()
-        path = {
-            "color": INK,
-            "linewidth": 1.2,
-            "marker": "o",
-            "markersize": 4.5,
-            "markerfacecolor": PLUME(0.4),
-        }
         styles: dict[str, Any] = {
-            "path and readings": path,
+            "path and readings": PATH | {"marker": "o", "markersize": 4.5, "markerfacecolor": PLUME(0.4)},
             "start": START | {"color": INK},
             "estimate": ESTIMATE,
         }
@@ -323,7 +306,7 @@ class Drawing:
         self._clouds = [
             _Cloud(self, colour) for colour in BELIEFS[max(3 - beliefs, 0) :][:beliefs]
         ]  # of up to three, the last is dark
-        line: dict[str, Any] = {"color": INK, "linewidth": 1.2, "animated": True}
+        line = PATH | {"animated": True}
         (self.path,) = self.map.plot([], [], zorder=2.5, label="path", **line)
         self.readings = self.map.scatter([], [], c=[], zorder=3, animated=True, **READINGS)
         (self._start,) = self.map.plot([], [], color=INK, animated=True, **START)

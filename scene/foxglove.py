@@ -1,9 +1,8 @@
-"""Scenes as messages of Foxglove's schemas, in protobuf, for records and viewers: Foxglove, Lichtblick,
-Rerun.
+"""Scenes as messages of Foxglove's schemas, for records and viewers: Foxglove, Lichtblick, Rerun.
 
-The frame `map` has its origin at home, x east, y north, z up; `vehicle` is the vehicle's own, its nose
-along x. Metres, and degrees where a schema wants them. What the scene knows only in the plane lies at z =
-0.
+They are protobuf. The frame `map` has its origin at home, x east, y north, z up; `vehicle` is the vehicle's
+own, its nose along x. Metres, and degrees where a schema wants them. What the scene knows only in the plane
+lies at z = 0.
 
 | topic | schema | holds | at |
 |---|---|---|---|
@@ -48,6 +47,7 @@ MAP, VEHICLE, ESTIMATE = "map", "vehicle", "estimate"
 POSES_PER_S = 10  # most poses of the vehicle in a second of simulation time
 LONGEST_PATH = 1000  # readings of the path: the newest ones
 PLUME_CELLS = 60
+# Of Okabe and Ito, which colour-blind people tell apart; (red, green, blue).
 COLOURS = {
     "vehicle": (0.90, 0.62, 0.0),
     "estimate": (0.34, 0.71, 0.91),
@@ -55,7 +55,6 @@ COLOURS = {
     "source": (0.84, 0.37, 0.0),
     "area": (0.6, 0.6, 0.6),
 }
-"""Of Okabe and Ito, which colour-blind people tell apart; (red, green, blue)."""
 FLOAT32 = PackedElementField.FLOAT32
 LINE_LOOP = 1  # LinePrimitive's type: a closed line
 LEVELS = {WARNING: Log.WARNING, ERROR: Log.ERROR}
@@ -75,8 +74,9 @@ class Encoded(NamedTuple):
 
 
 def schema_of(kind: Any) -> tuple[str, bytes]:
-    """Return the name of a protobuf class and its schema: an encoded FileDescriptorSet, each file after
-    those that it needs.
+    """Return the name of a protobuf class and its schema, an encoded FileDescriptorSet.
+
+    Each file in it comes after those that it needs.
     """
     files: dict[str, FileDescriptor] = {}
 
@@ -310,9 +310,7 @@ def _ball(name: str, place: Point, diameter_m: float) -> Part:
 
 
 def _disc(measurement: Measurement) -> Part:
-    """Return the covariance of an estimate as a flat disc; its axes are twice the half axes of 2 standard
-    deviations.
-    """
+    """Return the 2σ ellipse of an estimate as a flat disc; its axes are twice the half axes."""
     longer, shorter, angle = ellipse(measurement.covariance)
     disc = {
         "pose": _pose(measurement.estimate, angle),

@@ -6,16 +6,14 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from link import cli
 from link.files import whole
-from scene.animation import write_gif, write_mp4
-
-if TYPE_CHECKING:
-    from scene.animation import Picture
-    from scene.follow.history import History
-    from scene.scene import Measurement, Scene
+from link.record.reader import RecordError, read
+from scene.animation import Picture, write_gif, write_mp4
+from scene.follow.history import History
+from scene.follow.recorded import history_of, remark_on
+from scene.scene import Measurement, Scene
 
 MOST_STEPS = 1_000_000
 PICTURES = (".png", ".svg")
@@ -93,11 +91,8 @@ def run(args: argparse.Namespace) -> int:
     return cli.FAILED if damaged else 0
 
 
-def _history(path: Path) -> tuple["History", bool]:
+def _history(path: Path) -> tuple[History, bool]:
     """Return what a log tells, and whether it is damaged. Raises BadInput."""
-    from link.record.reader import RecordError, read
-    from scene.follow.recorded import history_of, remark_on
-
     try:
         recording = read(path)
         history = history_of(recording)
@@ -110,7 +105,7 @@ def _history(path: Path) -> tuple["History", bool]:
     return history, bool(recording.damage)
 
 
-def _beliefs(history: "History", steps: Sequence[int] | None) -> list["Scene"]:
+def _beliefs(history: History, steps: Sequence[int] | None) -> list[Scene]:
     """Return the scenes whose beliefs the picture shows.
 
     Raises BadInput on a step that the log has not.
@@ -129,7 +124,7 @@ def _beliefs(history: "History", steps: Sequence[int] | None) -> list["Scene"]:
     return [history.at(measured[step].time_s) for step in chosen]
 
 
-def telling(measured: Sequence["Measurement"]) -> list[int]:
+def telling(measured: Sequence[Measurement]) -> list[int]:
     """Return the steps whose beliefs tell most.
 
     They are the first ones at which the spread has gone a third and two thirds of its way from first to last,
@@ -144,14 +139,14 @@ def telling(measured: Sequence["Measurement"]) -> list[int]:
     return sorted({it.step for it in (*gone, last)})
 
 
-def _draw(history: "History", beliefs: Sequence["Scene"], path: Path, form: str) -> None:
+def _draw(history: History, beliefs: Sequence[Scene], path: Path, form: str) -> None:
     from scene.drawing import Drawing
 
     scene = history.at()
     Drawing(scene, len(beliefs), scene.measurements[-1].step).show(scene, beliefs).save(path, form)
 
 
-def _frames(history: "History") -> Iterator["Picture"]:
+def _frames(history: History) -> Iterator[Picture]:
     """Yield a frame for each reading, and show on stderr how many are done."""
     from rich.console import Console
     from rich.progress import track

@@ -11,16 +11,21 @@ from contextlib import suppress
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
+from typing import Any, NamedTuple, TextIO
 
+import msgspec
+
+from ground.desk.survey import KeyTable, Survey
+from ground.tlog.log import NAMES, FlightLog, open_log
 from link import cli
+from link.bus.mavlink import BadFrame
+from link.record.decoded import decode, decode_reading
+from link.record.reader import LogFile, RecordError, is_record
+from link.record.record import FRAME_KEYS, Entry
 from link.terminal import Column, printable, table, tell, width_of
-
-if TYPE_CHECKING:
-    from ground.desk.survey import KeyTable, Survey
-    from ground.tlog.log import FlightLog
-    from link.record.reader import LogFile
-    from link.record.record import Entry
+from plume.outcome import assumed_text, outcome, outcome_text
+from plume.scenario import Scenario
+from plume.worlds import AS_MODELLED
 
 SHORTEST_KEY = 12  # characters of a key that a narrow terminal shows at least
 
@@ -33,7 +38,7 @@ class Summary(NamedTuple):
     """The summary of a log."""
 
     head: list[str]
-    tables: "list[KeyTable]"
+    tables: list[KeyTable]
     tail: list[str]
     fields: dict[str, Any]  # the same as JSON fields
 
@@ -62,10 +67,6 @@ def run(args: argparse.Namespace) -> int:
 
     Raises BadInput.
     """
-    from ground.desk.survey import Survey
-    from ground.tlog.log import open_log
-    from link.record.reader import LogFile, RecordError, is_record
-
     missing = ""
     try:
         if is_record(args.log):
@@ -98,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
 # ---- records of the bus ----
 
 
-def _summary(path: Path, log: "LogFile", survey: "Survey") -> Summary:
+def _summary(path: Path, log: LogFile, survey: Survey) -> Summary:
     tables = survey.tables
     outcome, lines = _outcome(log.about, survey)
     gaps = survey.gaps() + survey.unreadable
@@ -150,14 +151,8 @@ def _object(about: dict[str, Any], name: str) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _outcome(about: dict[str, Any], survey: "Survey") -> tuple[dict[str, Any], list[str]]:
+def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], list[str]]:
     """Return the outcome as fields and lines; compared with the true source if the log has it."""
-    import msgspec
-
-    from plume.outcome import assumed_text, outcome, outcome_text
-    from plume.scenario import Scenario
-    from plume.worlds import AS_MODELLED
-
     last = survey.last
     if last is None:
         unknown = "no readable belief: the outcome of the search is unknown"
@@ -195,7 +190,7 @@ def _outcome(about: dict[str, Any], survey: "Survey") -> tuple[dict[str, Any], l
     return told, outcome_text(result).splitlines()
 
 
-def _of_record(entries: "Iterable[Entry]", only: str = "") -> Messages:
+def _of_record(entries: Iterable[Entry], only: str = "") -> Messages:
     """Yield the messages of a record; `only` leaves out what cannot be of this key."""
     for entry in entries:
         if only.startswith(entry.key) or not only:
@@ -203,18 +198,12 @@ def _of_record(entries: "Iterable[Entry]", only: str = "") -> Messages:
                 yield key, partial(_row, entry.published_ns / 1e9, entry.simulation_s, fields)
 
 
-def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
+def _decoded(entry: Entry) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield (export name, fields) of a message; nothing for a message that breaks the bus contract."""
-    from msgspec import structs
-
-    from link.bus.mavlink import BadFrame
-    from link.record.decoded import decode, decode_reading
-    from link.record.record import FRAME_KEYS
-
     if entry.key in FRAME_KEYS:
         with suppress(BadFrame):
             if entry.key == "reading":
-                yield "reading", structs.asdict(decode_reading(entry.payload))
+                yield "reading", msgspec.structs.asdict(decode_reading(entry.payload))
             else:
                 for message in decode(entry.payload):
                     yield f"{entry.key}/{message.kind}", json.loads(message.fields)
@@ -230,11 +219,8 @@ def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
 # ---- logs of autopilots ----
 
 
-def _summary_of_flight(path: Path, log: "FlightLog") -> Summary:
+def _summary_of_flight(path: Path, log: FlightLog) -> Summary:
     """Return a summary of an autopilot's log by message type."""
-    from ground.desk.survey import KeyTable
-    from ground.tlog.log import NAMES
-
     seconds: dict[str, list[float]] = defaultdict(list)
     for index, message_id in enumerate(log.records.message_ids.tolist()):
         seconds[NAMES.get(message_id, f"unknown {message_id}")].append(log.seconds(index))
@@ -253,16 +239,14 @@ def _summary_of_flight(path: Path, log: "FlightLog") -> Summary:
     return Summary(head, tables, log.notes, fields)
 
 
-def _of_flight(log: "FlightLog") -> Messages:
+def _of_flight(log: FlightLog) -> Messages:
     """Yield the messages of an autopilot's log."""
-    from ground.tlog.log import NAMES
-
     for index, message_id in enumerate(log.records.message_ids.tolist()):
         if message_id in NAMES:
             yield NAMES[message_id], partial(_row_of_flight, log, index)
 
 
-def _row_of_flight(log: "FlightLog", index: int) -> Row:
+def _row_of_flight(log: FlightLog, index: int) -> Row:
     message = log.message(index)
     fields = {name: getattr(message, name) for name in message.get_fieldnames()}
     own = fields | {"system": message.get_srcSystem()}

@@ -41,7 +41,6 @@ class Survey:
     """What a record holds. No payload stays in memory."""
 
     def __init__(self, entries: Iterable[Entry]) -> None:
-        """Take all messages."""
         self.published_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self.simulation_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
         # The times of all readings, ms; `answered` has those of beliefs, as time_boot_ms, which wraps.

@@ -9,18 +9,19 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import msgspec
+
+from ground.replay.player import Player, replay
+from ground.replay.source import Source, find
+from ground.replay.verify import Rules
 from link import cli
 from link.terminal import tell
 from plume import sensor
+from plume.outcome import assumed_text
 from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
-
-if TYPE_CHECKING:
-    from ground.replay.player import Player
-    from ground.replay.source import Source
-    from ground.replay.verify import Rules
+from sitl.launch.child import MissionFailed
 
 
 def _pair(names: str) -> Callable[[str], tuple[float, float]]:
@@ -150,22 +151,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plume", metavar="MISSION", help="tlog: simulate the gas along the path with this mission's plume"
     )
     cli.add_filter_arguments(parser)
-    rate, diffusivity, lifetime = (cli.number(*LIMITS[name]) for name in ("q", "d", "tau"))
-    parser.add_argument(
-        "--rate", type=rate, metavar="Q", help="release rate q (default: the plume's, or 300 g/s)"
-    )
-    parser.add_argument(
-        "--diffusivity",
-        type=diffusivity,
-        metavar="D",
-        help="diffusivity d (default: the plume's, or 4.5 m²/s)",
-    )
-    parser.add_argument(
-        "--lifetime",
-        type=lifetime,
-        metavar="TAU",
-        help="lifetime τ of the gas (default: the plume's, or 10 s)",
-    )
+    for flag, name, metavar, what in (
+        ("--rate", "q", "Q", "release rate q (default: the plume's, or 300 g/s)"),
+        ("--diffusivity", "d", "D", "diffusivity d (default: the plume's, or 4.5 m²/s)"),
+        ("--lifetime", "tau", "TAU", "lifetime τ of the gas (default: the plume's, or 10 s)"),
+    ):
+        parser.add_argument(flag, type=cli.number(*LIMITS[name]), metavar=metavar, help=what)
     parser.add_argument(
         "--sensor",
         type=cli.checked(sensor.parse),
@@ -186,10 +177,6 @@ def run(args: argparse.Namespace) -> int:
 
     Returns the exit status: 1 if something differs, or if pieces of the log are missing.
     """
-    from ground.replay.player import replay
-    from ground.replay.source import find
-    from sitl.launch.child import MissionFailed
-
     source, rules = find(args)
     for note in source.notes:
         tell(f"replay: {note}")
@@ -214,10 +201,8 @@ def run(args: argparse.Namespace) -> int:
     return cli.FAILED if result.difference or source.damaged else 0
 
 
-def _text(result: "Player", source: "Source", rules: "Rules | None", took_s: float) -> str:
+def _text(result: Player, source: Source, rules: Rules | None, took_s: float) -> str:
     """Return, for people, what the services said and whether it equals the recording."""
-    from plume.outcome import assumed_text
-
     last = result.last
     outcome = "no belief received"
     if last is not None:
@@ -244,9 +229,7 @@ def _text(result: "Player", source: "Source", rules: "Rules | None", took_s: flo
     return f"{replayed}\nverified: {', '.join(counted)}" + f" ({', '.join(relaxed)})" * bool(relaxed)
 
 
-def _json(result: "Player", source: "Source", rules: "Rules | None") -> str:
-    import msgspec
-
+def _json(result: Player, source: Source, rules: Rules | None) -> str:
     last = result.last
     fields = {
         "verified": None if rules is None else result.difference is None,

@@ -17,7 +17,6 @@ class RecordedVehicle:
     version = 0
 
     def __init__(self, name: str, history: History) -> None:
-        """Take all that the record tells."""
         self.name = name
         self._history = history
 

@@ -61,7 +61,6 @@ class PageServer:
     """Serves one list of vehicles to many pages."""
 
     def __init__(self, shown: Fleet, rules: AccessRules) -> None:
-        """Take what to show and who may do what."""
         self._shown = shown
         self._rules = rules
         self._door = Doorkeeper(rules)

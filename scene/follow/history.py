@@ -64,9 +64,9 @@ class History:
         turns: Sequence[WindTurn] | None = (),
         whole: bool = True,
     ) -> None:
-        """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the
-        newest ones.
+        """Begin.
 
+        whole: keep what scrubbing needs, each pose and each belief's particles; else only the newest ones.
         turns: the changes of the backdrop's wind, in order; None: it is the wind that the readings have.
         """
         self.backdrop = backdrop  # as it is at first
@@ -83,7 +83,6 @@ class History:
         self._begin()
 
     def _begin(self) -> None:
-        """Begin a mission."""
         self.missions += 1
         timed = partial(Timed[Any], self._whole)
         self.measurements: Timed[Measurement] = timed(MOST)
@@ -225,9 +224,9 @@ class History:
     def _take_stop(self, said: Stop, time_s: float) -> bool:
         if self._endings.values:
             return False  # repeated
-        claim = judged(said.step, said.estimate, said.spread, None)
-        self._happened(time_s, STOPPED, "estimator", claim.text)
-        self._ended(time_s, judged(said.step, said.estimate, said.spread, self.backdrop.release))
+        claim = said.step, said.estimate, said.spread
+        self._happened(time_s, STOPPED, "estimator", judged(*claim, None).text)
+        self._ended(time_s, judged(*claim, self.backdrop.release))
         return True
 
     def _ended(self, time_s: float, ending: Ending) -> None:

@@ -21,9 +21,7 @@ def history_of(recording: Recording, vehicle: str = "") -> History:
 
 
 def remark_on(recording: Recording, history: History) -> str:
-    """Return what people should know who see the record, after its name: `is cut off ...`; empty if there
-    is nothing.
-    """
+    """Return what people should know who see the record, after its name: `is cut off ...`."""
     remarks = [recording.shortcoming]
     if history.missions > 1:
         remarks.append(f"holds {history.missions} missions, of which the last one is shown")
