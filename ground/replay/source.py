@@ -287,10 +287,7 @@ def _cut(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
 
 
 def _rules(args: argparse.Namespace, source: Source) -> Rules:
-    try:
-        rules = Rules(verify.ignored(args.ignore, source.then.values()), args.tolerance)
-    except ValueError as error:
-        raise BadInput(str(error)) from None
+    rules = Rules(verify.ignored(args.ignore, source.then.values()), args.tolerance)
     published = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
     if not any(time in published and kind not in rules.ignored for time, kind in source.then):
         raise BadInput(

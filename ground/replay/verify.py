@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.keys import BELIEF, STOP, WAYPOINT
 from link.bus.mavlink import BadFrame, nearest, unpack
 from link.bus.messages import Belief, Stop
+from link.cli import BadInput
 from link.record.record import Entry
 
 # Kinds of answers to a reading and their keys, in the order of publication.
@@ -81,9 +82,6 @@ class Rules(NamedTuple):
     tolerance: float = 0.0  # largest difference of numbers that is accepted
 
 
-EXACTLY = Rules()
-
-
 def place(key: tuple[int, str]) -> tuple[int, int]:
     """Sort key of answers by time and kind: the order in which they are compared."""
     time_ms, kind = key
@@ -129,7 +127,7 @@ def said(entries: Iterable[Entry]) -> dict[tuple[int, str], Answer]:
 
 
 def ignored(names: Sequence[str], then: Iterable[Answer] = ()) -> frozenset[str]:
-    """Parse the values of --ignore; raises ValueError that says what is allowed.
+    """Parse the values of --ignore; raises BadInput.
 
     Fields that only the log has can be ignored too.
     """
@@ -143,20 +141,18 @@ def ignored(names: Sequence[str], then: Iterable[Answer] = ()) -> frozenset[str]
         if name == PARTICLES:
             found.add(f"belief.{PARTICLES}")
         elif key not in kinds:
-            raise ValueError(
+            raise BadInput(
                 f"--ignore: {name!r} is not allowed; wanted {', '.join(kinds)}, a field of theirs, or "
                 f"{PARTICLES}"
             )
         elif field and field not in fields[kinds[key]]:
-            raise ValueError(f"--ignore: {name!r} is not allowed; {key} has {', '.join(fields[kinds[key]])}")
+            raise BadInput(f"--ignore: {name!r} is not allowed; {key} has {', '.join(fields[kinds[key]])}")
         else:
             found.add(f"{kinds[key]}.{field}" if field else kinds[key])
     return frozenset(found)
 
 
-def difference(
-    was: Answer | None, now: Answer | None, rules: Rules = EXACTLY, step: int | None = None
-) -> Difference | None:
+def difference(was: Answer | None, now: Answer | None, rules: Rules, step: int | None) -> Difference | None:
     """Compare one message with its counterpart; returns the first field that differs.
 
     One of the two may be missing. `step` is used for messages that have none.
@@ -177,17 +173,6 @@ def difference(
             continue
         if found := _first(name, was.fields.get(name), now.fields.get(name), rules.tolerance):
             return Difference(*where, *found)
-    return None
-
-
-def compare(
-    then: Mapping[tuple[int, str], Answer], now: Mapping[tuple[int, str], Answer], rules: Rules = EXACTLY
-) -> Difference | None:
-    """Compare the answers of two logs; returns the first difference."""
-    both = {**then, **now}
-    for key in sorted(both, key=place):
-        if found := difference(then.get(key), now.get(key), rules, step_of(both.get((key[0], "belief")))):
-            return found
     return None
 
 

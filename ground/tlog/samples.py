@@ -195,9 +195,9 @@ def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: P
     if wind is not None:
         log.notes.append(f"wind: {wind[0]:g} m/s from {wind[1]:g}°, as given")
         return steady(_from_compass(*wind))
-    for message_id, toward in ((WIND_COV, _wind_cov), (WIND, _wind)):
-        said = [(index, toward(m)) for index, m in log.messages(log.select(autopilot.system, (message_id,)))]
-        said = [(index, pair) for index, pair in said if all(map(math.isfinite, pair))]
+    for message_id, toward in WINDS.items():
+        told = log.messages(log.select(autopilot.system, (message_id,)))
+        said = [(index, pair) for index, m in told if all(map(math.isfinite, pair := toward(m)))]
         if said:
             log.notes.append(f"wind: {len(said):,} {NAMES[message_id]}")
             return _changing(Reported(clock, said))
@@ -211,14 +211,12 @@ def _from_compass(speed: float, from_deg: float) -> Pair:
     return float32(speed * math.sin(heading)), float32(speed * math.cos(heading))
 
 
-def _wind_cov(m: Message) -> Pair:
-    """WIND_COV (231) carries the air's velocity, north and east."""
-    return -m.wind_y, -m.wind_x
-
-
-def _wind(m: Message) -> Pair:
-    """ArduPilot's WIND (168) carries the direction that the wind comes from."""
-    return _from_compass(m.speed, m.direction)
+WINDS: dict[int, Callable[[Message], Pair]] = {
+    # The velocity of the air, north and east.
+    WIND_COV: lambda m: (-m.wind_y, -m.wind_x),
+    # ArduPilot's: the direction that the wind comes from.
+    WIND: lambda m: _from_compass(m.speed, m.direction),
+}
 
 
 def steady(wind: Pair) -> Air:

@@ -6,6 +6,7 @@ The bus's thread only takes messages. Whoever asks first for a new version of a 
 others get the same one.
 """
 
+import math
 import re
 import threading
 import time
@@ -33,6 +34,7 @@ from scene.scene import Scene
 COMMANDS = replace(MAVLINK_IN, delivery=replace(MAVLINK_IN.delivery, blocking=False))
 # A namespace and its slash. A token may also be for a pattern of keys, such as uav/*: that is no vehicle.
 NAMESPACE = re.compile(r"[^*$\x00-\x1f\x7f]{1,200}/")
+CROWDED = f"warning: more than {MOST_VEHICLES} vehicles on the router; only the first ones are shown"
 MOST_CHANGES = 10_000  # changes that wait; beyond that the oldest are dropped
 EVERY_S = 0.01  # how often messages are taken
 LOOK_S = 0.2  # how often it looks for the router, and tries again to join it
@@ -178,13 +180,13 @@ class LiveVehicle:
             message.name, message.payload, message.attachment, time_s, message.published_ns / 1e9
         )
 
-    def lives(self, service: str, alive: bool) -> bool:
-        """Take that a part appeared or is gone; returns whether any is here."""
+    def lives(self, service: str, alive: bool) -> None:
+        """Take that a part appeared or is gone. The vehicle is here as long as one of them is."""
         with self._lock:
             self._alive[service] = alive
+            self.here = any(self._alive.values())
             self.history.lives(service, alive, time.time())
             self.version += 1
-        return any(self._alive.values())
 
     def close(self) -> None:
         """Leave its bus and keep what there is to see as it is now."""
@@ -270,15 +272,15 @@ class LiveFleet:
     def _follow(self, roster: Roster) -> None:
         joining: deque[Presence] = deque()
         connected_since = look_at = join_at = time.monotonic()
-        connected = True
         while not self._ended.wait(EVERY_S):
             now_s = time.monotonic()
             if now_s >= look_at:
                 look_at = now_s + LOOK_S
-                if roster.connected and not connected:
+                if not roster.connected:
+                    connected_since = math.inf
+                elif math.isinf(connected_since):
                     connected_since = now_s
-                connected = roster.connected
-                gone = "" if connected else f"the router at {self._router} is gone: waiting for it"
+                gone = "" if roster.connected else f"the router at {self._router} is gone: waiting for it"
                 self._tell((self._lack() if gone or joining else "") or gone)
             joining.extend(roster.changes())
             while joining and now_s >= join_at:
@@ -286,7 +288,7 @@ class LiveFleet:
                     joining.popleft()
                 else:
                     join_at = now_s + LOOK_S
-            if connected and now_s - connected_since >= GONE_AFTER_S:
+            if now_s - connected_since >= GONE_AFTER_S:
                 self._bury(now_s)
             if any([vehicle.follow() for vehicle in self.vehicles.values()]):
                 self._changed()
@@ -324,8 +326,7 @@ class LiveFleet:
         self._missed_s.pop((name, service), None)
         if name not in self.vehicles and len(self.vehicles) >= MOST_VEHICLES:
             if not self._crowded:
-                what = f"more than {MOST_VEHICLES} vehicles on the router"
-                self._say(f"warning: {what}; only the first ones are shown")
+                self._say(CROWDED)
             self._crowded = True
             return True
         if name not in self.vehicles:
@@ -335,7 +336,6 @@ class LiveFleet:
                 return False
             self.vehicles = {**self.vehicles, name: vehicle}
         self.vehicles[name].lives(service, True)
-        self.vehicles[name].here = True
         self._list_changed()
         return True
 
@@ -348,5 +348,5 @@ class LiveFleet:
         for (name, service), since_s in tuple(self._missed_s.items()):
             if now_s - since_s >= GONE_AFTER_S:
                 del self._missed_s[name, service]
-                self.vehicles[name].here = self.vehicles[name].lives(service, False)
+                self.vehicles[name].lives(service, False)
                 self._list_changed()

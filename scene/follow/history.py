@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -40,14 +40,6 @@ from scene.scene import (
 TRACK_STEP_M = 0.1  # the track gets a point when the vehicle has moved this far
 RESTART_MS = 1000  # a vehicle whose own time goes back by more was started again
 NOWHERE = math.nan, math.nan
-
-
-class _Packed(NamedTuple):
-    """Particles as they came."""
-
-    payload: bytes
-    unknowns: tuple[str, ...]
-    estimate: Point
 
 
 class History:
@@ -86,7 +78,7 @@ class History:
         self.missions += 1
         timed = partial(Timed[Any], self._whole)
         self.measurements: Timed[Measurement] = timed(MOST)
-        self._scatters: Timed[_Packed] = timed()
+        self._scatters: Timed[Scatter | None] = timed()
         self._winds: Timed[tuple[float, float]] = timed()
         self._waypoints: Timed[Point | None] = timed()
         self._walls: Timed[float] = timed()
@@ -211,7 +203,7 @@ class History:
         self.measurements.add(time_s, measurement)
         self._stop, self._assume = said.stop, said.assume
         if attachment:
-            self._scatters.add(time_s, _Packed(attachment, said.unknowns, said.mean))
+            self._scatters.add(time_s, _scatter(said, attachment))
         if not said.ceased and self._budget is not None and said.step >= self._budget:
             words = (
                 f"not ceased after {said.step} steps; estimate ({said.mean[0]:.2f}, {said.mean[1]:.2f}) "
@@ -253,14 +245,14 @@ class History:
         """
         wall = (self._walls.at(time_s) or self.wall_s) if wall_s is None else wall_s
         now_s, measurements = min(time_s, self.time_s), self.measurements.until(time_s)
-        packed, craft = self._scatters.at(time_s), self._crafts.at(time_s)
+        craft = self._crafts.at(time_s)
         return Scene(
             backdrop=self._backdrop(now_s, measurements[-1].step if measurements else -1),
             time_s=now_s,
             craft=craft,
             track=self._track.until(time_s),
             measurements=measurements,
-            scatter=_unpacked(packed) if packed else None,
+            scatter=self._scatters.at(time_s),
             waypoint=self._waypoints.at(time_s),
             wind=self._winds.at(time_s) or (craft.condition.wind if craft else None),
             stop=self._stop,
@@ -282,18 +274,17 @@ class History:
         return replace(self.backdrop, release=release)
 
 
-@lru_cache(maxsize=16)
-def _unpacked(packed: _Packed) -> Scatter | None:
-    """Return the particles in the plane; a known x or y is the estimate's own. None if they are not valid.
+def _scatter(said: Belief, attachment: bytes) -> Scatter | None:
+    """Return a belief's particles in the plane; a known x or y is the estimate's own.
 
-    Those of the same belief are the same object when asked for again: a page has them already.
+    None if they are not valid.
     """
     try:
-        rows = unpack_particles(packed.payload, len(packed.unknowns))
+        rows = unpack_particles(attachment, len(said.unknowns))
     except ValueError:
         return None
     places = np.empty((len(rows), 2), np.float32)
     for column, name in enumerate("xy"):
-        known = name not in packed.unknowns
-        places[:, column] = packed.estimate[column] if known else rows[:, packed.unknowns.index(name)]
-    return Scatter(places, rows[:, -1])
+        known = name not in said.unknowns
+        places[:, column] = said.mean[column] if known else rows[:, said.unknowns.index(name)]
+    return Scatter(places, rows[:, -1].copy())
