@@ -248,8 +248,14 @@ class Drawing:
         self.spread.tick_params(labelbottom=False)
         if zeta_m is not None:
             self.spread.axhline(zeta_m, color=INK, linestyle="--", linewidth=1)
-            over = self.spread.get_yaxis_transform()  # below the line there is no spread before the stop
-            self.spread.text(0.015, zeta_m * 0.93, f"ζ = {zeta_m:g} m", transform=over, va="top", size=9)
+            self.spread.text(  # below the line, where there is no spread before the stop
+                0.015,
+                zeta_m * 0.93,
+                f"ζ = {zeta_m:g} m",
+                transform=self.spread.get_yaxis_transform(),
+                va="top",
+                size=9,
+            )
         self.gas.set(xlabel="step", ylabel="gas, g/m³")
         self.gas.set_yscale("symlog", linthresh=1)
         ticks(self.gas.yaxis, (0, 1, 10, 100, 1000))
@@ -293,9 +299,12 @@ class Drawing:
         for cloud, words in zip(self._clouds, beliefs, strict=False):
             mark = {"color": cloud.colour, "marker": "o", "markersize": 6, "linewidth": 1.8}
             styles[f"belief{words}: particles, 2 σ"] = mark
-        entries = [Line2D([], [], **{"label": label} | style) for label, style in styles.items()]
         self.figure.legend(
-            handles=entries, loc="lower center", ncols=6 if vehicle else 4, fontsize=9, columnspacing=1.6
+            handles=[Line2D([], [], **{"label": label} | style) for label, style in styles.items()],
+            loc="lower center",
+            ncols=6 if vehicle else 4,
+            fontsize=9,
+            columnspacing=1.6,
         )
         self._still = None
 

@@ -305,42 +305,58 @@ def _colour(name: str, alpha: float = 1.0) -> Part:
 
 
 def _ball(name: str, place: Point, diameter_m: float) -> Part:
-    ball = {"pose": _pose(place), "size": dict.fromkeys("xyz", diameter_m), "color": _colour(name)}
-    return {"id": name, "spheres": [ball]}
+    return {
+        "id": name,
+        "spheres": [{"pose": _pose(place), "size": dict.fromkeys("xyz", diameter_m), "color": _colour(name)}],
+    }
 
 
 def _disc(measurement: Measurement) -> Part:
     """Return the 2σ ellipse of an estimate as a flat disc; its axes are twice the half axes."""
     longer, shorter, angle = ellipse(measurement.covariance)
-    disc = {
-        "pose": _pose(measurement.estimate, angle),
-        "size": {"x": 2 * longer, "y": 2 * shorter, "z": DISC_M},
-        "color": _colour("estimate", 0.3),
-        "bottom_scale": 1.0,
-        "top_scale": 1.0,
+    return {
+        "id": "covariance",
+        "cylinders": [
+            {
+                "pose": _pose(measurement.estimate, angle),
+                "size": {"x": 2 * longer, "y": 2 * shorter, "z": DISC_M},
+                "color": _colour("estimate", 0.3),
+                "bottom_scale": 1.0,
+                "top_scale": 1.0,
+            }
+        ],
     }
-    return {"id": "covariance", "cylinders": [disc]}
 
 
 def _square(side_m: float) -> Part:
-    line = {
-        "type": LINE_LOOP,
-        "pose": _pose(),
-        "thickness": 2.0,
-        "scale_invariant": True,  # pixels
-        "points": [_at(corner) for corner in ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))],
-        "color": _colour("area"),
+    return {
+        "id": "area",
+        "lines": [
+            {
+                "type": LINE_LOOP,
+                "pose": _pose(),
+                "thickness": 2.0,
+                "scale_invariant": True,  # pixels
+                "points": [
+                    _at(corner) for corner in ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))
+                ],
+                "color": _colour("area"),
+            }
+        ],
     }
-    return {"id": "area", "lines": [line]}
 
 
 def _arrow() -> Part:
-    arrow = {
-        "pose": _pose(),
-        "shaft_length": 0.6,
-        "shaft_diameter": 0.2,
-        "head_length": 0.4,
-        "head_diameter": 0.5,
-        "color": _colour("vehicle"),
+    return {
+        "id": "vehicle",
+        "arrows": [
+            {
+                "pose": _pose(),
+                "shaft_length": 0.6,
+                "shaft_diameter": 0.2,
+                "head_length": 0.4,
+                "head_diameter": 0.5,
+                "color": _colour("vehicle"),
+            }
+        ],
     }
-    return {"id": "vehicle", "arrows": [arrow]}

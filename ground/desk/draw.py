@@ -11,8 +11,7 @@ from link import cli
 from link.files import whole
 from link.record.reader import RecordError, read
 from scene.animation import Picture, write_gif, write_mp4
-from scene.follow.history import History
-from scene.follow.recorded import history_of, remark_on
+from scene.follow.history import History, history_of, remark_on
 from scene.scene import Measurement, Scene
 
 MOST_STEPS = 1_000_000
@@ -85,8 +84,9 @@ def run(args: argparse.Namespace) -> int:
                 else:
                     (write_gif if flag == "--gif" else write_mp4)(_frames(history), partial)
         except OSError as error:
-            reason = error.strerror or error
-            raise cli.BadInput(f"{flag}: {str(path)!r} cannot be written: {reason}") from None
+            raise cli.BadInput(
+                f"{flag}: {str(path)!r} cannot be written: {error.strerror or error}"
+            ) from None
         print(path)
     return cli.FAILED if damaged else 0
 

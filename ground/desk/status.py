@@ -178,11 +178,10 @@ def _show(
     """Show a report; returns whether all is well."""
     well = not no_router and all(part["status"] == OK for part in parts.values())
     if args.json:
-        router = {"endpoint": args.connect, "status": MISSING if no_router else OK}
         fields = {
             "ok": well,
             "namespace": args.namespace,
-            "router": router,
+            "router": {"endpoint": args.connect, "status": MISSING if no_router else OK},
             "ceased": bool(_knowing(parts)),
             "parts": parts,
         }
@@ -210,8 +209,14 @@ def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, 
         left: bool = False,
         least: int | None = None,
     ) -> Column:
-        cells = [text(part) if part else "" for part in told]
-        return Column(heading, cells, rank, heading.partition(",")[0], left=left, least=least)
+        return Column(
+            heading,
+            [text(part) if part else "" for part in told],
+            rank,
+            heading.partition(",")[0],
+            left=left,
+            least=least,
+        )
 
     columns = [
         Column("part", ["router", *parts], left=True),
@@ -223,11 +228,9 @@ def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, 
         column("up, s", lambda part: f"{part['uptime_s']:.0f}", 4),
     ]
     knowing = _knowing(parts)
-    ceased = [f"the search has ceased, say {', '.join(knowing)}"] if knowing else []
-    troubles = [line for name, part in parts.items() for line in _troubles(name, part)]
-    return table(
-        columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], ceased + troubles
-    )
+    below = [f"the search has ceased, say {', '.join(knowing)}"] if knowing else []
+    below += [line for name, part in parts.items() for line in _troubles(name, part)]
+    return table(columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], below)
 
 
 def _knowing(parts: dict[str, dict[str, Any]]) -> list[str]:

@@ -72,8 +72,7 @@ def run(args: argparse.Namespace) -> int:
         if is_record(args.log):
             log = LogFile(args.log)
             if args.csv:
-                again = _of_record(LogFile(args.log), args.csv)
-                names, rows = _table(_of_record(log), again, args.csv)
+                names, rows = _table(_of_record(log), _of_record(LogFile(args.log), args.csv), args.csv)
             else:
                 summary = _summary(args.log, log, Survey(log))
             missing = f"{args.log} {log.shortcoming}" if log.damage else ""
@@ -180,14 +179,13 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
     result = outcome(
         0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world
     )  # no seed, policy, search time
-    told = {
-        **plain,
+    judged = {
         "located": result.located,
         "error_m": result.error_m,
         "distance_m": result.distance_m,
         "source": result.source,
     }
-    return told, outcome_text(result).splitlines()
+    return plain | judged, outcome_text(result).splitlines()
 
 
 def _of_record(entries: Iterable[Entry], only: str = "") -> Messages:
@@ -220,7 +218,6 @@ def _decoded(entry: Entry) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _summary_of_flight(path: Path, log: FlightLog) -> Summary:
-    """Return a summary of an autopilot's log by message type."""
     seconds: dict[str, list[float]] = defaultdict(list)
     for index, message_id in enumerate(log.records.message_ids.tolist()):
         seconds[NAMES.get(message_id, f"unknown {message_id}")].append(log.seconds(index))
@@ -228,19 +225,17 @@ def _summary_of_flight(path: Path, log: FlightLog) -> Summary:
     span_s = _span(seconds.values())
     senders = ", ".join(f"{system}/{component}" for system, component in sorted(log.senders()))
     head = [f"{path}: MAVLink of system/component {senders}", f"{len(log):,} messages in {span_s:.1f} s"]
-    counts = {table.name: {"messages": len(table.published_s)} for table in tables}
     fields = {
         "log": str(path),
         "messages": len(log),
         "duration_s": span_s,
-        "keys": counts,
+        "keys": {table.name: {"messages": len(table.published_s)} for table in tables},
         "notes": log.notes,
     }
     return Summary(head, tables, log.notes, fields)
 
 
 def _of_flight(log: FlightLog) -> Messages:
-    """Yield the messages of an autopilot's log."""
     for index, message_id in enumerate(log.records.message_ids.tolist()):
         if message_id in NAMES:
             yield NAMES[message_id], partial(_row_of_flight, log, index)
@@ -249,8 +244,7 @@ def _of_flight(log: FlightLog) -> Messages:
 def _row_of_flight(log: FlightLog, index: int) -> Row:
     message = log.message(index)
     fields = {name: getattr(message, name) for name in message.get_fieldnames()}
-    own = fields | {"system": message.get_srcSystem()}
-    return _row(float(log.times_us[index]) / 1e6, math.nan, own)
+    return _row(float(log.times_us[index]) / 1e6, math.nan, {**fields, "system": message.get_srcSystem()})
 
 
 # ---- one table as CSV ----

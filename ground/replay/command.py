@@ -231,16 +231,17 @@ def _text(result: Player, source: Source, rules: Rules | None, took_s: float) ->
 
 def _json(result: Player, source: Source, rules: Rules | None) -> str:
     last = result.last
-    fields = {
-        "verified": None if rules is None else result.difference is None,
-        **{f"{kind}s": n for kind, n in result.counts.items()},
-        "difference": result.difference.as_json() if result.difference else None,
-        "ceased": result.ceased_at is not None,
-        "estimate": last.mean if last else None,
-        "spread_m": last.spread if last else None,
-        "assume": last.assume if last else None,
-        "stop": last.stop if last else None,
-        "world": source.world,
-        "error_m": math.dist(last.mean, source.truth) if last and source.truth else None,
-    }
-    return msgspec.json.encode(fields).decode()
+    return msgspec.json.encode(
+        {
+            "verified": None if rules is None else result.difference is None,
+            **{f"{kind}s": n for kind, n in result.counts.items()},
+            "difference": result.difference.as_json() if result.difference else None,
+            "ceased": result.ceased_at is not None,
+            "estimate": last.mean if last else None,
+            "spread_m": last.spread if last else None,
+            "assume": last.assume if last else None,
+            "stop": last.stop if last else None,
+            "world": source.world,
+            "error_m": math.dist(last.mean, source.truth) if last and source.truth else None,
+        }
+    ).decode()

@@ -70,10 +70,8 @@ class Player:
         self._progress = progress
         self._rules = rules
         self._own = own
-        ignored = rules.ignored if rules else frozenset()
-        available = {
-            kind for kind, service in SERVICES.items() if not own or service in source.parts
-        } - ignored
+        available = {kind for kind, service in SERVICES.items() if not own or service in source.parts}
+        available -= rules.ignored if rules else frozenset()
         self._awaited = deque(key for key in source.then if key[1] in available)
         self._services = {SERVICES[kind] for _, kind in self._awaited} if source.recorded else {"estimator"}
         self._present: set[str] = set()

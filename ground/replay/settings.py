@@ -98,12 +98,12 @@ def as_words(settings: Mapping[str, Any]) -> list[str]:
 
     Each item of a list is a flag of its own.
     """
-    each = [
-        (name, item)
+    return [
+        word
         for name, value in settings.items()
         for item in (value if isinstance(value, list) else [value])
+        for word in (f"--{name.replace('_', '-')}", str(item))
     ]
-    return [word for name, item in each for word in (f"--{name.replace('_', '-')}", str(item))]
 
 
 def _pairs(recorded: list[str]) -> Iterator[tuple[str, str]]:

@@ -112,9 +112,9 @@ def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
 
 def recorded(entry: Entry) -> list[Answer]:
     """Return the answers in a message of a log."""
-    found = answers(entry.key, entry.payload, entry.attachment)
     return [
-        answer.near(1000 * entry.simulation_s)._replace(published_ns=entry.published_ns) for answer in found
+        answer.near(1000 * entry.simulation_s)._replace(published_ns=entry.published_ns)
+        for answer in answers(entry.key, entry.payload, entry.attachment)
     ]
 
 

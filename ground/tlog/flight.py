@@ -153,8 +153,8 @@ def _along(path: FlownPath, clock: VehicleClock, every_s: float) -> list[LoggedG
         for begin, end in lines
     ]
     times_ms: Floats = first + every_ms * np.unique(np.concatenate(numbers)).astype(np.float64)
-    logged_us = clock.logged_us(times_ms).tolist()
-    return [LoggedGas(round(time), us, 0.0) for time, us in zip(times_ms.tolist(), logged_us, strict=True)]
+    pairs = zip(times_ms.tolist(), clock.logged_us(times_ms).tolist(), strict=True)
+    return [LoggedGas(round(time), us, 0.0) for time, us in pairs]
 
 
 def _take(

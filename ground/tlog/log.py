@@ -200,13 +200,13 @@ def choose(log: FlightLog, system: int | None) -> Autopilot:
         f"vehicle: system {chosen.system} ({chosen.maker}), component {chosen.component} "
         f"({counted(senders.pop(best), 'frame')})"
     )
-    own, strangers = [], []
-    for (of, component), count in senders.most_common():
-        if of == chosen.system:
-            own.append(f"component {component} ({counted(count, 'frame')})")
-        else:
-            station = "ground station, " * ((of, component) in stations)
-            strangers.append(f"system {of} component {component} ({station}{counted(count, 'frame')})")
-    kinds = (("also on board", own), ("skipped", strangers))
-    log.notes += [f"{told}: {few(listed)}" for told, listed in kinds if listed]
+    ranked = senders.most_common()
+    own = [f"component {part} ({counted(n, 'frame')})" for (of, part), n in ranked if of == chosen.system]
+    strangers = [
+        f"system {of} component {part} ({'ground station, ' * ((of, part) in stations)}{counted(n, 'frame')})"
+        for (of, part), n in ranked
+        if of != chosen.system
+    ]
+    told = {"also on board": own, "skipped": strangers}
+    log.notes += [f"{what}: {few(listed)}" for what, listed in told.items() if listed]
     return chosen

@@ -150,8 +150,9 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
 def _listening(flag: str, host: str, port: int) -> socket.socket:
     """Return a socket that listens on a port, 0 for any free one. Raises BadInput."""
     try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        return socket.create_server((host, port), family=family, backlog=64)
+        return socket.create_server(
+            (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET, backlog=64
+        )
     except OSError as error:
         reason = str(error.strerror).partition(" (while")[0]
         raise cli.BadInput(f"{flag}: cannot serve on {host} port {port}: {reason}") from None

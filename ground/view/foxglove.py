@@ -174,16 +174,14 @@ def _announced(kind: Any) -> dict[str, str]:
 
 
 def _belief(said: Measurement) -> bytes:
-    fields: dict[str, Any] = {
+    fields = {
         "step": said.step,
         "simulation_s": said.time_s,
         "position": said.position,
-        "gas": said.gas,
+        **({"gas": said.gas} if math.isfinite(said.gas) else {}),  # JSON knows no NaN
         "spread": said.spread_m,
         "mean": said.estimate,
         "covariance": said.covariance,
         "ceased": said.ceased,
     }
-    if not math.isfinite(said.gas):
-        del fields["gas"]  # JSON knows no NaN
     return json.dumps(fields).encode()

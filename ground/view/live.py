@@ -26,7 +26,7 @@ from link.bus.opening import NoRouter
 from link.bus.session import Arrival, Bus
 from link.record.record import SimulationClock
 from link.record.tap import Tap
-from scene.follow.recorded import begun
+from scene.follow.history import begun
 from scene.scene import Scene
 
 # Commands go out now or never: what waited here would go out late, when nobody wants it any more. They are

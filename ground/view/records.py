@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from link.record.reader import read
-from scene.follow.history import History
-from scene.follow.recorded import history_of, remark_on
+from scene.follow.history import History, history_of, remark_on
 from scene.scene import Scene
 
 

@@ -31,6 +31,7 @@ MOST_CLIENTS = 20  # pages that may command, and pages that may only look
 LONGEST_MESSAGE = 4096  # bytes of a message from the page
 EVERY_S = 1 / 30  # shortest time between two live scenes of a vehicle
 MOST_COMMANDS, COMMANDS_S = 5, 1.0  # commands of a page within a time; more are refused, but for urgent ones
+TOO_MANY = f"more than {MOST_COMMANDS} commands within {COMMANDS_S:g} s: wait a moment"
 MOST_ANSWERS = 100  # a page that leaves this many answers to its commands unread is closed
 UNDRAWN_S = 1.0  # after this long the next scene is sent, though the last one was not drawn
 
@@ -180,8 +181,7 @@ class Client:
         if self._why_not:
             answered(CommandAnswer(False, self._why_not))
         elif name not in URGENT and now_s - self._ordered_s[0] < COMMANDS_S:
-            words = f"more than {MOST_COMMANDS} commands within {COMMANDS_S:g} s: wait a moment"
-            answered(CommandAnswer(False, words))
+            answered(CommandAnswer(False, TOO_MANY))
         else:
             if name not in URGENT:
                 self._ordered_s.append(now_s)
@@ -192,14 +192,17 @@ class Client:
     # ---- to the page ----
 
     async def _speak(self) -> None:
-        hello = {
-            "live": self._live,
-            "may_command": self.may_command,
-            "why_not": self._why_not,
-            "word": WORD_STATES.get(self._why_not, ""),
-            "version": __version__,
-        }
-        await self._say({"hello": hello})
+        await self._say(
+            {
+                "hello": {
+                    "live": self._live,
+                    "may_command": self.may_command,
+                    "why_not": self._why_not,
+                    "word": WORD_STATES.get(self._why_not, ""),
+                    "version": __version__,
+                }
+            }
+        )
         listed, bye_said = None, False
         while True:
             self.wake.clear()
@@ -228,8 +231,7 @@ class Client:
         what = self._what(vehicle)
         if what == sent.what:
             return UNDRAWN_S
-        pause_s = EVERY_S if self._live else 0.0
-        due_s = sent.at_s + (pause_s if sent.drawn else UNDRAWN_S)
+        due_s = sent.at_s + (UNDRAWN_S if not sent.drawn else EVERY_S if self._live else 0.0)
         if now_s < due_s:
             return due_s - now_s
         self._number += 1

@@ -16,9 +16,10 @@ from link.bus.mavlink import Texts, continued, unpack_reading
 from link.bus.messages import Belief, Health, Stop, unpack_particles
 from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
+from link.record.reader import Recording
 from link.record.record import HEALTH_PREFIX, began_s
 from scene.follow.area import HEARTBEAT, PLACING, AreaFrame
-from scene.follow.described import WindTurn
+from scene.follow.described import WindTurn, backdrop_of, turns_of
 from scene.follow.parts import LONGEST, Parts
 from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, frames, level_of, seen, waypoint
 from scene.follow.timed import MOST, Timed, Trail
@@ -144,8 +145,7 @@ class History:
                     return bool(places)
                 case _ if key.startswith(HEALTH_PREFIX):
                     health = msgspec.json.decode(payload, type=Health)
-                    is_its_own = key == HEALTH_PREFIX + health.service
-                    return is_its_own and self._parts.hears(health, time_s, wall_s)
+                    return key == HEALTH_PREFIX + health.service and self._parts.hears(health, time_s, wall_s)
         return False
 
     def lives(self, service: str, alive: bool, wall_s: float) -> None:
@@ -197,10 +197,19 @@ class History:
         last = self.measurements.at()
         if last is not None and said.step <= last.step:
             return False  # repeated
-        measurement = Measurement(
-            said.step, time_s, said.position, said.gas, said.spread, said.mean, said.covariance, said.ceased
+        self.measurements.add(
+            time_s,
+            Measurement(
+                said.step,
+                time_s,
+                said.position,
+                said.gas,
+                said.spread,
+                said.mean,
+                said.covariance,
+                said.ceased,
+            ),
         )
-        self.measurements.add(time_s, measurement)
         self._stop, self._assume = said.stop, said.assume
         if attachment:
             self._scatters.add(time_s, _scatter(said, attachment))
@@ -288,3 +297,29 @@ def _scatter(said: Belief, attachment: bytes) -> Scatter | None:
         known = name not in said.unknowns
         places[:, column] = said.mean[column] if known else rows[:, said.unknowns.index(name)]
     return Scatter(places, rows[:, -1].copy())
+
+
+# ---- of a run ----
+
+
+def begun(about: dict[str, Any], vehicle: str = "", *, whole: bool = False) -> History:
+    """Return the history of a run of which only its own description is known; for `whole` see `History`."""
+    return History(*backdrop_of(about, vehicle), turns=turns_of(about), whole=whole)
+
+
+def history_of(recording: Recording, vehicle: str = "") -> History:
+    """Return all that a record tells."""
+    history = begun(recording.about, vehicle, whole=True)
+    for entry in sorted(recording.entries, key=lambda entry: entry.published_ns):
+        history.take(entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9)
+    return history
+
+
+def remark_on(recording: Recording, history: History) -> str:
+    """Return what people should know who see the record, after its name: `is cut off ...`."""
+    remarks = [recording.shortcoming]
+    if history.missions > 1:
+        remarks.append(f"holds {history.missions} missions, of which the last one is shown")
+    if not recording.entries:
+        remarks.append("holds no message")
+    return ", and ".join(filter(None, remarks))

@@ -68,13 +68,15 @@ def seen(was: Craft, message_id: int, fields: dict[str, Any], time_s: float, are
 
 
 def _condition(known: Condition, message_id: int, fields: dict[str, Any]) -> Condition:
-    """Return the vehicle's condition after one of its messages."""
     match message_id:
         case 1:  # SYS_STATUS; ArduPilot sends 0 V without a monitor
             percent, millivolts = fields["battery_remaining"], fields["voltage_battery"]
-            battery = percent / 100 if 0 <= percent <= 100 else None
-            volts = None if millivolts in (0, UNKNOWN_MV) else millivolts / 1e3
-            return replace(known, battery=battery, volts=volts, ailing=_ailing(fields))
+            return replace(
+                known,
+                battery=percent / 100 if 0 <= percent <= 100 else None,
+                volts=None if millivolts in (0, UNKNOWN_MV) else millivolts / 1e3,
+                ailing=_ailing(fields),
+            )
         case 24:  # GPS_RAW_INT
             kind, satellites = fields["fix_type"], fields["satellites_visible"]
             words = FIXES[kind] if kind < len(FIXES) else f"fix type {kind}"

@@ -30,7 +30,7 @@ from ground.view.wire import Sent, packed
 from link.cli import BadInput
 from link.record.reader import RecordError
 from link.record.reader import read as read_record
-from scene.follow.recorded import history_of
+from scene.follow.history import history_of
 from scene.scene import Scene
 from sitl.script.script import load, shipped
 from sitl.script.typed_yaml import FileError

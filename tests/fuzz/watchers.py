@@ -116,7 +116,7 @@ class OneRecord:
 
     def __init__(self) -> None:
         (FOLDER / "shown.mcap").write_bytes(record_seeds()[0])
-        from scene.follow.recorded import history_of
+        from scene.follow.history import history_of
 
         self.vehicles = {"uav/1": RecordedVehicle("uav/1", history_of(read(FOLDER / "shown.mcap")))}
 

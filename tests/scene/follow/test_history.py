@@ -15,8 +15,7 @@ from link.bus.mavlink import Codec, Reading, pack_reading, waypoint_message
 from link.bus.messages import Belief, Health, Stop, pack_particles
 from link.record.reader import Recording, read
 from link.record.record import Entry
-from scene.follow.history import History
-from scene.follow.recorded import history_of, remark_on
+from scene.follow.history import History, history_of, remark_on
 from scene.scene import Backdrop, Release
 
 RELEASE = Release((12.0, 20.0), (2.0, 0.0), 300.0, 4.0, 10.0)
