@@ -43,7 +43,7 @@ from plume.geodesy import to_global
 from scene.scene import ERROR, WARNING, Craft, Happening, Measurement, Point, Release, Scatter, Scene, ellipse
 
 TOPICS = "scene/"  # all topics begin with it
-MAP, VEHICLE, ESTIMATE = "map", "vehicle", "estimate"
+MAP_FRAME, VEHICLE_FRAME, ESTIMATE_FRAME = "map", "vehicle", "estimate"
 POSES_PER_S = 10  # most poses of the vehicle in a second of simulation time
 LONGEST_PATH = 1000  # readings of the path: the newest ones
 PLUME_CELLS = 60
@@ -104,7 +104,7 @@ class SceneEncoder:
     def __init__(self, prefix: str = "") -> None:
         """Begin. `prefix` is put before topics and frames, where one connection shows several vehicles."""
         self._prefix = prefix
-        self._map = prefix + MAP
+        self._map = prefix + MAP_FRAME
         self._said: dict[str, bytes] = {}
         self._slot = -1
         self._home: tuple[float, float, float] | None = None  # as a fix: degrees, and m above mean sea level
@@ -139,7 +139,7 @@ class SceneEncoder:
         self._slot = pose_slot(craft.time_s)
         transform: Part = {
             "parent_frame_id": self._map,
-            "child_frame_id": self._prefix + VEHICLE,
+            "child_frame_id": self._prefix + VEHICLE_FRAME,
             "translation": {**_at(craft.position), "z": craft.altitude_m},
             "rotation": _turn(craft.heading if math.isfinite(craft.heading) else 0.0),
         }
@@ -150,7 +150,7 @@ class SceneEncoder:
                 east, north = craft.position
                 self._home = *to_global(latitude, longitude, -north, -east), altitude - craft.altitude_m
             fix = LocationFix(
-                frame_id=self._prefix + VEHICLE,
+                frame_id=self._prefix + VEHICLE_FRAME,
                 latitude=latitude,
                 longitude=longitude,
                 altitude=altitude,
@@ -167,7 +167,7 @@ class SceneEncoder:
         release, side_m = scene.backdrop.release, scene.backdrop.area_m
         if "area" not in self._said:
             yield from self._marks("area", [_square(side_m)], stamp_ns)
-            yield from self._marks("vehicle", [_arrow()], stamp_ns, VEHICLE)
+            yield from self._marks("vehicle", [_arrow()], stamp_ns, VEHICLE_FRAME)
         if release != self._release:
             self._release = release
             source = [_ball("source", release.source, 0.6)] if release else []
@@ -205,7 +205,7 @@ class SceneEncoder:
             (east, north), (xx, xy, yy) = last.estimate, last.covariance
             latitude, longitude = to_global(*self._home[:2], north, east)
             fix = LocationFix(
-                frame_id=self._prefix + ESTIMATE,
+                frame_id=self._prefix + ESTIMATE_FRAME,
                 latitude=latitude,
                 longitude=longitude,
                 altitude=self._home[2],
@@ -237,7 +237,9 @@ class SceneEncoder:
             log.timestamp.FromNanoseconds(stamp_ns)
             yield self._encoded("log", log)
 
-    def _marks(self, topic: str, entities: list[Part], stamp_ns: int, frame: str = MAP) -> Iterator[Encoded]:
+    def _marks(
+        self, topic: str, entities: list[Part], stamp_ns: int, frame: str = MAP_FRAME
+    ) -> Iterator[Encoded]:
         """Yield marks in a frame; none of them delete those that were there."""
         placed: Part = [
             {**entity, "frame_id": self._prefix + frame, "frame_locked": True} for entity in entities

@@ -123,9 +123,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show the status once, or until interrupted; returns 0 if all parts are ok."""
-    live = args.watch and sys.stdout.isatty() and not args.json
-    display = Live(console=Console(highlight=False), auto_refresh=False) if live else nullcontext()
-    with display as shown:
+    live = Live(console=Console(highlight=False), auto_refresh=False)
+    with live if args.watch and sys.stdout.isatty() and not args.json else nullcontext() as shown:
         while True:
             try:
                 with Bus(

@@ -87,7 +87,10 @@ def run(args: argparse.Namespace) -> int:
     if args.csv:
         if missing:
             print(f"warning: {missing}", file=sys.stderr)
-        _print_csv(names, rows)
+        # Columns are left out that came since they were listed: the log may still be written.
+        writer = csv.DictWriter(sys.stdout, names, restval="", extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
     else:
         _print(summary, sys.stderr if args.json else sys.stdout)
     if args.json:
@@ -291,14 +294,6 @@ def _rate(times: Sequence[float]) -> str:
     """Messages per second: one over the mean time between two."""
     span_s = _span([times])
     return f"{(len(times) - 1) / span_s:,.2f}" if span_s > 0 else ""
-
-
-def _print_csv(names: Sequence[str], rows: Iterable[Row]) -> None:
-    writer = csv.DictWriter(
-        sys.stdout, names, restval="", extrasaction="ignore", lineterminator="\n"
-    )  # the log may still be written
-    writer.writeheader()
-    writer.writerows(rows)
 
 
 def _row(published_s: float, simulation_s: float, fields: dict[str, Any]) -> Row:

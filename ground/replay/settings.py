@@ -51,7 +51,7 @@ class Agent(_Settings, frozen=True):
     waypoints: list[Waypoints] = []
 
 
-KINDS: dict[str, type[_Settings]] = {"estimator": Estimator, "agent": Agent}
+SETTINGS: dict[str, type[_Settings]] = {"estimator": Estimator, "agent": Agent}
 REPEATED = ("prior", "waypoints")
 LONGEST = 80  # characters of a word that are quoted
 
@@ -68,12 +68,12 @@ def words(service: str, recorded: list[str]) -> list[str]:
             raise ValueError(_quoted(flag))
         given[name] = [*given.get(name, []), value] if name in REPEATED else value
         try:
-            msgspec.convert({name: given[name]}, KINDS[service], strict=False)
+            msgspec.convert({name: given[name]}, SETTINGS[service], strict=False)
         except msgspec.ValidationError:
             raise ValueError(_quoted(f"{flag} {value}")) from None
     if service == "estimator":
         given.setdefault("assume", "paper")  # older estimators took all but the position to be known
-    return as_words(msgspec.to_builtins(msgspec.convert(given, KINDS[service], strict=False)))
+    return as_words(msgspec.to_builtins(msgspec.convert(given, SETTINGS[service], strict=False)))
 
 
 def flew_a_bundle(recorded: list[str]) -> bool:

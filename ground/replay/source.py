@@ -45,7 +45,7 @@ FILTER_FLAGS = (
     "seed",
 )
 
-OURS = "uav/1"  # the namespace of the first vehicle
+FIRST_VEHICLE = "uav/1"  # the namespace of the first vehicle
 OVERTAKE_NS = 500_000_000  # largest time by which messages overtake each other on their way into a log, ns
 
 
@@ -85,7 +85,7 @@ class _About(msgspec.Struct, frozen=True):
     """The fields used of a recording's own description."""
 
     parts: dict[str, list[str]] = {}
-    namespace: Annotated[str, msgspec.Meta(pattern=r"\A[\w.-]+(/[\w.-]+)*\Z", max_length=200)] = OURS
+    namespace: Annotated[str, msgspec.Meta(pattern=r"\A[\w.-]+(/[\w.-]+)*\Z", max_length=200)] = FIRST_VEHICLE
     budget: int | None = None
     scenario: _Release = _Release()
     mission: _Mission = _Mission()
@@ -116,7 +116,7 @@ def recording(path: Path, bundle: str | None = None) -> Source:
                     else ""
                 )
                 unfit[service] = f"{path} starts its {service} with {error}, which a record may not do{hint}"
-    notes: tuple[str, ...] = ()
+    note = ""
     sure_ms = sure_ns = math.inf
     sound = log.entries[: log.damage[0].before] if log.damage else log.entries
     then = verify.said(sound)
@@ -126,9 +126,9 @@ def recording(path: Path, bundle: str | None = None) -> Source:
             asked.setdefault(time_ms, entry.published_ns)
     if not log.complete:
         end_s = max((entry.simulation_s for entry in sound), default=0.0)
-        notes = (f"{path} is cut off: replayed up to its end at {end_s:.2f} s",)
+        note = f"{path} is cut off: replayed up to its end at {end_s:.2f} s"
         if log.damage:
-            notes = (f"warning: {path} {log.shortcoming}; --verify compares up to {end_s:.2f} s",)
+            note = f"warning: {path} {log.shortcoming}; --verify compares up to {end_s:.2f} s"
         sure_ns = max((entry.published_ns for entry in sound), default=0)
         sure_ms = max((time for time, ns in asked.items() if ns <= sure_ns - OVERTAKE_NS), default=-1)
     return Source(
@@ -153,7 +153,7 @@ def recording(path: Path, bundle: str | None = None) -> Source:
         budget=math.inf if told.budget is None else told.budget,
         truth=told.scenario.source,
         world=told.mission.world,
-        notes=notes,
+        notes=(note,) if note else (),
     )
 
 
@@ -208,10 +208,9 @@ def find(args: argparse.Namespace) -> tuple[Source, Rules | None]:
         raise BadInput(str(error)) from None
     if not source.entries:
         raise BadInput(f"{args.log}: it has no messages of a vehicle")
-    namespace = args.namespace or (
-        OURS if args.connect else source.namespace
-    )  # a record does not choose among the vehicles of a user's bus
-    source = source._replace(namespace=namespace, entries=_cut(source.entries, args))
+    # A record does not choose among the vehicles of a user's bus.
+    usual = FIRST_VEHICLE if args.connect else source.namespace
+    source = source._replace(namespace=args.namespace or usual, entries=_cut(source.entries, args))
     if args.verify:  # what follows a gap depends on what is missing
         source = source._replace(
             entries=[entry for entry in source.entries if entry.published_ns <= source.sure_ns]

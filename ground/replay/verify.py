@@ -19,15 +19,15 @@ from link.cli import BadInput
 from link.record.record import Entry
 
 # Kinds of answers to a reading and their keys, in the order of publication.
-KINDS = {"stop": STOP.name, "belief": BELIEF.name, "waypoint": WAYPOINT.name}
+ANSWERS = {"stop": STOP.name, "belief": BELIEF.name, "waypoint": WAYPOINT.name}
 PARTICLES = "particles"
-SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message
+SETPOINT_MESSAGE = mavlink.MAVLink_set_position_target_local_ned_message
 FIELDS: Mapping[str, tuple[str, ...]] = {
     "stop": Stop.__struct_fields__,
     "belief": (*Belief.__struct_fields__, PARTICLES),
-    "waypoint": tuple(SETPOINT.fieldnames),
+    "waypoint": tuple(SETPOINT_MESSAGE.fieldnames),
 }
-LATER = ("assume", "stop", "evidence")  # fields that older records lack; then they are not compared
+NEWER_FIELDS = ("assume", "stop", "evidence")  # fields that older records lack; then they are not compared
 # Fields shown of a message that only one side has.
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}
 
@@ -66,7 +66,7 @@ class Difference(NamedTuple):
     def as_json(self) -> dict[str, Any]:
         """The fields that `--json` prints."""
         return {
-            "key": KINDS[self.kind],
+            "key": ANSWERS[self.kind],
             "time_s": self.time_ms / 1000,
             "step": self.step,
             "field": self.field,
@@ -85,7 +85,7 @@ class Rules(NamedTuple):
 def place(key: tuple[int, str]) -> tuple[int, int]:
     """Sort key of answers by time and kind: the order in which they are compared."""
     time_ms, kind = key
-    return time_ms, list(KINDS).index(kind)
+    return time_ms, list(ANSWERS).index(kind)
 
 
 def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
@@ -134,7 +134,7 @@ def ignored(names: Sequence[str], then: Iterable[Answer] = ()) -> frozenset[str]
     fields = {kind: dict.fromkeys(known) for kind, known in FIELDS.items()}
     for answer in then:
         fields[answer.kind] |= dict.fromkeys(answer.fields)
-    kinds = {**{kind: kind for kind in KINDS}, **{key: kind for kind, key in KINDS.items()}}
+    kinds = {**{kind: kind for kind in ANSWERS}, **{key: kind for kind, key in ANSWERS.items()}}
     found = set()
     for name in names:
         key, _, field = name.partition(".")
@@ -169,7 +169,7 @@ def difference(was: Answer | None, now: Answer | None, rules: Rules, step: int |
     if was is None or now is None:
         return Difference(*where, "", _headline(was), _headline(now))
     for name in dict.fromkeys((*was.fields, *now.fields)):
-        if f"{one.kind}.{name}" in rules.ignored or (name in LATER and name not in was.fields):
+        if f"{one.kind}.{name}" in rules.ignored or (name in NEWER_FIELDS and name not in was.fields):
             continue
         if found := _first(name, was.fields.get(name), now.fields.get(name), rules.tolerance):
             return Difference(*where, *found)
@@ -212,10 +212,10 @@ def _waypoints(payload: bytes) -> list[Answer]:
         Answer(
             "waypoint",
             message.time_boot_ms,
-            {name: _float32(getattr(message, name)) for name in SETPOINT.fieldnames},
+            {name: _float32(getattr(message, name)) for name in SETPOINT_MESSAGE.fieldnames},
         )
         for message in messages
-        if message.get_type() == SETPOINT.msgname
+        if message.get_type() == SETPOINT_MESSAGE.msgname
     ]
 
 

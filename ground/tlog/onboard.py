@@ -102,7 +102,7 @@ TELEMETRY: dict[str, tuple[Callable[..., Message | None], tuple[str, ...]]] = {
     "vehicle_land_detected": (_landed, ("landed",)),
     "debug_key_value": (_named, ("key", "value")),
 }
-CLOCKS = ("GPS", "vehicle_gps_position", "sensor_gps")  # messages that tell the time of day
+TIME_OF_DAY = ("GPS", "vehicle_gps_position", "sensor_gps")  # messages that tell the time of day
 GPS_EPOCH_US = 315_964_800_000_000  # 6 January 1980
 LEAP_US = 18_000_000  # GPS time is ahead of UTC by this, since 2017
 WEEK_US = 7 * 86_400 * 1_000_000
@@ -128,7 +128,7 @@ class _Said:
         self.utc_us = 0  # time of the boot, µs since 1970; 0 until a receiver tells it
         self._gas = gas
         self._topic, _, self._field = gas.partition(".")
-        self.topics = {*TELEMETRY, *CLOCKS, self._topic}
+        self.topics = {*TELEMETRY, *TIME_OF_DAY, self._topic}
         self._codec = Codec(1, mavlink.MAV_COMP_ID_AUTOPILOT1)
 
     def take(self, topic: str, fields: Fields) -> None:
@@ -137,7 +137,7 @@ class _Said:
             time_us = int(fields["TimeUS"] if "TimeUS" in fields else fields["timestamp"])
             if not 0 <= time_us < LATEST_US:
                 return
-            if topic in CLOCKS and not self.utc_us:
+            if topic in TIME_OF_DAY and not self.utc_us:
                 self._set_clock(time_us, fields)
             time_ms = time_us // 1000 % WRAP_MS
             if topic == self._topic and self._field in fields:

@@ -24,7 +24,7 @@ Air = Callable[[float], Pair | None]
 
 NAMED = (mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, mavlink.MAVLINK_MSG_ID_NAMED_VALUE_INT)
 WIND_COV, WIND = mavlink.MAVLINK_MSG_ID_WIND_COV, mavlink.MAVLINK_MSG_ID_WIND
-READING = (LOCAL, WIND_COV, NAMED[0])  # of one reading: consecutive, from one sender, with one time
+READING_IDS = (LOCAL, WIND_COV, NAMED[0])  # of one reading: consecutive, from one sender, with one time
 MESSAGES = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}
 # Largest difference between a sender's time and the vehicle's if both share a clock: of the median, and by
 # which a single value may be later.
@@ -95,9 +95,9 @@ def recorded(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple
     """
     fixes: list[int] = []
     samples: dict[int, LoggedGas] = {}
-    for first in log.select(autopilot.system, READING[:1]).tolist():
+    for first in log.select(autopilot.system, READING_IDS[:1]).tolist():
         three = slice(first, first + 3)
-        if tuple(log.records.message_ids[three]) != READING or len(log.senders(three)) > 1:
+        if tuple(log.records.message_ids[three]) != READING_IDS or len(log.senders(three)) > 1:
             continue
         try:
             said = unpack_reading(b"".join(log.frame(index) for index in range(first, first + 3)))

@@ -24,10 +24,10 @@ FILE = "file://"  # the Origin of files, and of programs made like web pages, su
 # WebSocket subprotocols of the page: its own, and one with the word, in base64. It is a header: no log or
 # history keeps it.
 PROTOCOL, WORD = "plumeward", "word."
-WANTED = "read-only: to command, enter the word of --token-file"
-WRONG = "read-only: that is not the word of --token-file"
-LATER = "read-only: a wrong word came from your address a moment ago: wait a second"
-WORD_STATES = {WANTED: "wanted", WRONG: "wrong", LATER: "later"}  # as the page knows them
+WORD_WANTED = "read-only: to command, enter the word of --token-file"
+WORD_WRONG = "read-only: that is not the word of --token-file"
+WORD_LATER = "read-only: a wrong word came from your address a moment ago: wait a second"
+WORD_STATES = {WORD_WANTED: "wanted", WORD_WRONG: "wrong", WORD_LATER: "later"}  # as the page knows them
 IN_FILE = "a file with a word of at least 8 characters in one line"
 SHORTEST = 8
 WRONG_S = 1.0  # an address that gave a wrong word is ignored for this time
@@ -87,8 +87,8 @@ class AccessRules(NamedTuple):
         """Return why a client with this token may only look; empty if it may command."""
         if self.token:
             if not token:
-                return WANTED
-            return "" if hmac.compare_digest(token.encode(), self.token.encode()) else WRONG
+                return WORD_WANTED
+            return "" if hmac.compare_digest(token.encode(), self.token.encode()) else WORD_WRONG
         if is_open(self.host):
             return f"read-only: the page is served on {self.host} without --token-file"
         return "read-only: the page is open to --origin without --token-file" if self.origins else ""
@@ -161,9 +161,9 @@ class Doorkeeper:
     def why_no_commands(self, word: str, address: str, now_s: float) -> str:
         """Return why a client at this address that gives this word may only look; empty if it may command."""
         if word and now_s - self._wrong_s.get(address, -math.inf) < WRONG_S:
-            return LATER
+            return WORD_LATER
         why_not = self._rules.why_no_commands(word)
-        if why_not == WRONG:
+        if why_not == WORD_WRONG:
             self._wrong_s.pop(address, None)
             self._wrong_s[address] = now_s
             if len(self._wrong_s) > MOST_WRONG:

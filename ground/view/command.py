@@ -104,9 +104,8 @@ def run(args: argparse.Namespace) -> int:
     word = _word(args.token_file) if args.token_file else ""
     with ExitStack() as stack:
         page = stack.enter_context(_listening("--port", args.host, args.port))
-        local = None
-        if args.foxglove is not None:
-            local = stack.enter_context(_listening("--foxglove", HOST, args.foxglove))
+        asked = args.foxglove is not None
+        local = stack.enter_context(_listening("--foxglove", HOST, args.foxglove)) if asked else None
         try:
             return asyncio.run(serve(args, word, page, local))
         except RecordError as error:

@@ -32,11 +32,11 @@ from scene.scene import Measurement, Scene
 HOST = "127.0.0.1"
 # Topic of the readings and what was believed after them, as JSON with the names that a record has: one
 # layout plots both.
-BELIEF = "belief"
+BELIEF_TOPIC = "belief"
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # the protocol's names, the newer first
 MESSAGE = struct.Struct("<BIQ")  # before a message: 1, the viewer's number for its topic, ns since 1970
 MOST_VIEWERS = 20
-MOST_WAITING = 256  # messages for a viewer that reads slowly; more take the place of the oldest
+MOST_UNREAD = 256  # messages for a viewer that reads slowly; more take the place of the oldest
 LONGEST_REQUEST = 65536  # bytes of a message from a viewer
 Number = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Said = tuple[int, bytes]  # time, ns since 1970, and data of a message
@@ -92,7 +92,7 @@ class LiveFoxglove:
         last = scene.measurements[-1] if scene.measurements else None
         if last is not None and last is not self._measurements.get(vehicle):
             self._measurements[vehicle] = last
-            said.append((prefix + BELIEF, Belief, _belief(last)))
+            said.append((prefix + BELIEF_TOPIC, Belief, _belief(last)))
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._say, now_ns, said)
 
@@ -124,7 +124,7 @@ class _Viewer:
     def __init__(self, socket: WebSocket, topics: dict[str, dict[str, Any]], newest: dict[str, Said]) -> None:
         self._socket, self._topics, self._newest = socket, topics, newest
         self._numbers: dict[str, int] = {}  # the viewer's own, of each topic that it wants
-        self._waiting: deque[bytes] = deque(maxlen=MOST_WAITING)
+        self._waiting: deque[bytes] = deque(maxlen=MOST_UNREAD)
         self._wake = asyncio.Event()
 
     def take(self, topic: str) -> None:

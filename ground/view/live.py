@@ -31,7 +31,7 @@ from scene.scene import Scene
 
 # Commands go out now or never: what waited here would go out late, when nobody wants it any more. They are
 # sent again anyway.
-COMMANDS = replace(MAVLINK_IN, delivery=replace(MAVLINK_IN.delivery, blocking=False))
+COMMAND_KEY = replace(MAVLINK_IN, delivery=replace(MAVLINK_IN.delivery, blocking=False))
 # A namespace and its slash. A token may also be for a pattern of keys, such as uav/*: that is no vehicle.
 NAMESPACE = re.compile(r"[^*$\x00-\x1f\x7f]{1,200}/")
 CROWDED = f"warning: more than {MOST_VEHICLES} vehicles on the router; only the first ones are shown"
@@ -155,7 +155,7 @@ class LiveVehicle:
     def send(self, payload: bytes) -> None:
         """Publish on `mavlink/in`. It does not wait."""
         if self._frozen_s is None:
-            self._bus.publish(COMMANDS, payload)
+            self._bus.publish(COMMAND_KEY, payload)
 
     # ---- in the bus's thread ----
 
@@ -198,6 +198,8 @@ class LiveVehicle:
 
 class LiveFleet:
     """All vehicles on a router."""
+
+    damaged = False  # no record
 
     def __init__(
         self,
