@@ -6,7 +6,6 @@ scene, is an animation.
 
 import math
 from collections.abc import Iterable, Sequence
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -146,10 +145,10 @@ class _Cloud:
             for chart in (drawing.spread, drawing.gas)
         )
 
-    def show(self, scene: Scene | None) -> None:
-        """Show the newest belief of a scene, or none."""
-        last = scene.measurements[-1] if scene and scene.measurements else None
-        cloud = scene.scatter if scene and scene.scatter else NO_SCATTER
+    def show(self, scene: Scene) -> None:
+        """Show the newest belief of a scene, if it has one."""
+        last = scene.measurements[-1] if scene.measurements else None
+        cloud = scene.scatter or NO_SCATTER
         areas = DOT * min(len(cloud.weights), MANY) * cloud.weights  # as the weights
         self.dots.set_offsets(cloud.places)
         self.dots.set_sizes(np.minimum(areas, 20 * DOT))
@@ -169,15 +168,16 @@ class Drawing:
     What does not change is drawn once.
     """
 
-    def __init__(self, scene: Scene, beliefs: int = 1, steps: int = 20) -> None:
+    def __init__(self, scene: Scene, beliefs: Sequence[Scene] = (), steps: int = 20) -> None:
         """Draw what does not change.
 
-        `beliefs`: how many can be shown at once, 1 to 5; the charts begin with room for `steps`.
+        beliefs: for print, up to 5 scenes whose newest beliefs are shown; else each scene's own belief is,
+        with the vehicle. The charts begin with room for `steps`.
         """
         self._backdrop = scene.backdrop
+        self._is_print = bool(beliefs)
         self._room = [float(max(steps, 1)), 0.5, 10.0]  # of the charts: steps, gas below 0, gas
         self._still: Any = None  # the picture without what changes; None while it is not up to date
-        self._named: list[str] | None = None
         with matplotlib.rc_context(STYLE):
             self.figure = Figure(figsize=SIZE_IN, dpi=FRAME_DPI)
             self._canvas: Any = FigureCanvasAgg(self.figure)  # has no types
@@ -187,23 +187,20 @@ class Drawing:
             self._compass = self.figure.add_axes((0.475, 0.77, 0.07, 0.07 * SIZE_IN[0] / SIZE_IN[1]))
             self._lay_map()
             self._lay_charts(scene)
-            self._begin(beliefs)
-
-    def show(self, scene: Scene, beliefs: Sequence[Scene] | None = None) -> "Drawing":
-        """Show a scene: with vehicle and belief or, for print, with the newest belief of each of `beliefs`.
-
-        Returns itself.
-        """
-        vehicle = beliefs is None
-        beliefs = [scene] if beliefs is None else beliefs
-        with matplotlib.rc_context(STYLE):
-            self._make_room(scene)
-            self._show_path(scene, vehicle)
-            self._show_wind(scene)
-            for cloud, believed in zip_longest(self._clouds, beliefs):
+            self._begin(max(len(beliefs), 1))
+            for cloud, believed in zip(self._clouds, beliefs, strict=False):
                 cloud.show(believed)
             said = [it.measurements[-1].step for it in beliefs if it.measurements]
-            self._lay_legend([""] if vehicle else [f" at step {step}" for step in said], vehicle)
+            self._lay_legend([f" at step {step}" for step in said] or [""])
+
+    def show(self, scene: Scene) -> "Drawing":
+        """Show a scene; returns itself."""
+        with matplotlib.rc_context(STYLE):
+            self._make_room(scene)
+            self._show_path(scene)
+            self._show_wind(scene)
+            if not self._is_print:
+                self._clouds[0].show(scene)
             verdict = scene.ending.verdict if scene.ending else ""
             self._title.set_text(": ".join(filter(None, (self._backdrop.title, verdict))))
             self._text.set_text(_state(scene))
@@ -280,13 +277,8 @@ class Drawing:
             self._room = room
             self._lay_limits()
 
-    def _lay_legend(self, beliefs: Sequence[str], vehicle: bool) -> None:
-        """Lay the legend, with words for each belief shown, unless it is there."""
-        if beliefs == self._named:
-            return
-        self._named = list(beliefs)
-        if self.figure.legends:
-            self.figure.legends[0].remove()
+    def _lay_legend(self, beliefs: Sequence[str]) -> None:
+        """Lay the legend, with words for each belief."""
         styles: dict[str, Any] = {
             "path and readings": PATH | {"marker": "o", "markersize": 4.5, "markerfacecolor": PLUME(0.4)},
             "start": START | {"color": INK},
@@ -294,7 +286,7 @@ class Drawing:
         }
         if self._backdrop.release:
             styles["true source"] = SOURCE
-        if vehicle:
+        if not self._is_print:
             styles["vehicle"] = VEHICLE
         for cloud, words in zip(self._clouds, beliefs, strict=False):
             mark = {"color": cloud.colour, "marker": "o", "markersize": 6, "linewidth": 1.8}
@@ -302,19 +294,17 @@ class Drawing:
         self.figure.legend(
             handles=[Line2D([], [], **{"label": label} | style) for label, style in styles.items()],
             loc="lower center",
-            ncols=6 if vehicle else 4,
+            ncols=4 if self._is_print else 6,
             fontsize=9,
             columnspacing=1.6,
         )
-        self._still = None
 
     # ---- what changes ----
 
     def _begin(self, beliefs: int) -> None:
         """Make the artists that scenes change."""
-        self._clouds = [
-            _Cloud(self, colour) for colour in BELIEFS[max(3 - beliefs, 0) :][:beliefs]
-        ]  # of up to three, the last is dark
+        colours = BELIEFS[max(3 - beliefs, 0) :][:beliefs]  # of up to three, the last is dark
+        self._clouds = [_Cloud(self, colour) for colour in colours]
         line = PATH | {"animated": True}
         (self.path,) = self.map.plot([], [], zorder=2.5, label="path", **line)
         self.readings = self.map.scatter([], [], c=[], zorder=3, animated=True, **READINGS)
@@ -334,7 +324,7 @@ class Drawing:
         self._text = self.map.text(0, 1.025, "", size=9, **above)
         self._moving: list[Any] = sorted(self.figure.findobj(Artist.get_animated), key=Artist.get_zorder)
 
-    def _show_path(self, scene: Scene, vehicle: bool) -> None:
+    def _show_path(self, scene: Scene) -> None:
         taken = scene.measurements
         places = np.array([it.position for it in taken], np.float64).reshape(-1, 2)
         steps, gas = [it.step for it in taken], [it.gas for it in taken]
@@ -347,7 +337,7 @@ class Drawing:
         self.gases.set_data(steps, gas)
         self._start.set_data(*places[:1].T)
         self._estimate.set_data(*np.array([it.estimate for it in taken[-1:]]).reshape(-1, 2).T)
-        shown = scene.craft if vehicle else None
+        shown = None if self._is_print else scene.craft
         self._craft.set_data(*([shown.position[0]], [shown.position[1]]) if shown else ([], []))
         if shown:
             self._craft.set_marker(_nose(shown.heading))

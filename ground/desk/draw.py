@@ -143,7 +143,7 @@ def _draw(history: History, beliefs: Sequence[Scene], path: Path, form: str) -> 
     from scene.drawing import Drawing
 
     scene = history.at()
-    Drawing(scene, len(beliefs), scene.measurements[-1].step).show(scene, beliefs).save(path, form)
+    Drawing(scene, beliefs, scene.measurements[-1].step).show(scene).save(path, form)
 
 
 def _frames(history: History) -> Iterator[Picture]:
