@@ -201,20 +201,14 @@ def _of_record(entries: Iterable[Entry], only: str = "") -> Messages:
 
 def _decoded(entry: Entry) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield (export name, fields) of a message; nothing for a message that breaks the bus contract."""
-    if entry.key in FRAME_KEYS:
-        with suppress(BadFrame):
-            if entry.key == "reading":
-                yield "reading", msgspec.structs.asdict(decode_reading(entry.payload))
-            else:
-                for message in decode(entry.payload):
-                    yield f"{entry.key}/{message.kind}", json.loads(message.fields)
-        return
-    try:
-        fields = json.loads(entry.payload)
-    except (ValueError, RecursionError):
-        return
-    if isinstance(fields, dict):
-        yield entry.key, fields
+    with suppress(BadFrame, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        if entry.key == "reading":
+            yield "reading", msgspec.structs.asdict(decode_reading(entry.payload))
+        elif entry.key in FRAME_KEYS:
+            for message in decode(entry.payload):
+                yield f"{entry.key}/{message.kind}", json.loads(message.fields)
+        else:
+            yield entry.key, msgspec.json.decode(entry.payload, type=dict[str, Any])
 
 
 # ---- logs of autopilots ----

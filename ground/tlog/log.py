@@ -104,16 +104,15 @@ def open_log(path: Path, gas: str = "") -> FlightLog:
     except OSError as error:
         raise BadInput(f"{path} cannot be read: {error.strerror}") from None
     told = ""
-    is_onboard = data.startswith((onboard.DATAFLASH, onboard.ULOG))
-    if is_onboard:
+    if data.startswith((onboard.DATAFLASH, onboard.ULOG)):
         data, told = onboard.telemetry(data, gas)
-    log = FlightLog(data, is_onboard)
-    if is_onboard and not len(log):
-        raise BadInput(f"{path} is {told}, but none that tells of a position, the wind or gas")
+    log = FlightLog(data, bool(told))
     if not len(log):
         raise BadInput(
-            f"{path} contains no MAVLink 1 or 2 frame; wanted a telemetry log (.tlog), as ground stations "
-            "write it, or a log that an autopilot writes on board (.bin, .ulg)"
+            f"{path} is {told}, but none that tells of a position, the wind or gas"
+            if told
+            else f"{path} contains no MAVLink 1 or 2 frame; wanted a telemetry log (.tlog), as ground "
+            "stations write it, or a log that an autopilot writes on board (.bin, .ulg)"
         )
     if told:
         log.notes.append(f"{path.name}: {told}; read as the telemetry that follows")

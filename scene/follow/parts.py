@@ -88,11 +88,10 @@ class Parts:
     def at(self, time_s: float, wall_s: float) -> Iterator[Service]:
         """Yield how each part was doing at a simulation time, when the clock said wall_s."""
         for name in sorted(self._signs, key=in_order):
-            if (sign := self._signs[name].at(time_s)) is None:
-                continue
-            judged, said = verdict(sign.alive, sign.health, wall_s - sign.wall_s), sign.health
-            told = (said.state, said.about, said.step, said.latency_s, tuple(said.warnings)) if said else ()
-            yield Service(name, judged, *told)
+            if sign := self._signs[name].at(time_s):
+                judged, it = verdict(sign.alive, sign.health, wall_s - sign.wall_s), sign.health
+                told = (it.state, it.about, it.step, it.latency_s, tuple(it.warnings)) if it else ()
+                yield Service(name, judged, *told)
 
 
 def _news(before: Health | None, said: Health) -> Iterator[tuple[str, str]]:
