@@ -3,7 +3,6 @@
 It decodes their bytes without their code.
 """
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -110,19 +109,13 @@ def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
     return [Answer(kind, time_boot_ms, fields)]
 
 
-def recorded(entry: Entry) -> list[Answer]:
-    """Return the answers in a message of a log."""
-    return [
-        answer.near(1000 * entry.simulation_s)._replace(published_ns=entry.published_ns)
-        for answer in answers(entry.key, entry.payload, entry.attachment)
-    ]
-
-
 def said(entries: Iterable[Entry]) -> dict[tuple[int, str], Answer]:
     """Return the answers in a log by reading and kind, in order; repeated ones count once."""
     found: dict[tuple[int, str], Answer] = {}
-    for answer in itertools.chain.from_iterable(map(recorded, entries)):
-        found.setdefault((answer.time_ms, answer.kind), answer)
+    for entry in entries:
+        for each in answers(entry.key, entry.payload, entry.attachment):
+            answer = each.near(1000 * entry.simulation_s)._replace(published_ns=entry.published_ns)
+            found.setdefault((answer.time_ms, answer.kind), answer)
     return {key: found[key] for key in sorted(found, key=place)}
 
 

@@ -231,10 +231,6 @@ class LiveFleet:
         self._thread = threading.Thread(target=self._run, args=(roster,), name="bus", daemon=True)
         self._thread.start()
 
-    def entries(self) -> list[dict[str, Any]]:
-        """Return the list of vehicles."""
-        return [vehicle.entry() for vehicle in tuple(self.vehicles.values())]
-
     def end(self) -> None:
         """Leave the bus. What there is to see stays as it is."""
         self._ended.set()

@@ -64,9 +64,5 @@ class RecordedFleet:
                 remarks.append(f"the record {name} {remark}")
         self.notice = "; ".join(remarks)  # what people should know of the files
 
-    def entries(self) -> list[dict[str, Any]]:
-        """Return the list of vehicles."""
-        return [vehicle.entry() for vehicle in self.vehicles.values()]
-
     def end(self) -> None:
         """Nothing is open."""

@@ -208,7 +208,8 @@ class Client:
             self.wake.clear()
             if listed != self._shown.list_version:
                 listed = self._shown.list_version
-                await self._say({"vehicles": self._shown.entries(), "notice": self._shown.notice})
+                rows = [vehicle.entry() for vehicle in self._shown.vehicles.values()]
+                await self._say({"vehicles": rows, "notice": self._shown.notice})
             while self._answers:
                 await self._say(self._answers.popleft())
             bye, vehicles = self._server.bye, self._shown.vehicles

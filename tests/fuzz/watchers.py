@@ -120,9 +120,6 @@ class OneRecord:
 
         self.vehicles = {"uav/1": RecordedVehicle("uav/1", history_of(read(FOLDER / "shown.mcap")))}
 
-    def entries(self) -> list[dict[str, Any]]:
-        return [vehicle.entry() for vehicle in self.vehicles.values()]
-
 
 @cache
 def _shown() -> OneRecord:
