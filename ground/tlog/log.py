@@ -30,10 +30,10 @@ VERSIONS = {MAVLINK_1: "1", MAVLINK_2: "2"}  # by the first byte of a frame
 LISTED = 5  # notes list this many items of a kind and count the rest
 
 
-def few(texts: Sequence[str]) -> str:
-    """List the first few texts and count the rest."""
-    more = f" and {len(texts) - LISTED:,} more" if len(texts) > LISTED else ""
-    return ", ".join(texts[:LISTED]) + more
+def few(texts: Sequence[str], count: int = 0) -> str:
+    """List the first few texts and count the rest; `count` is their total if not all are given."""
+    more = max(len(texts), count) - LISTED
+    return ", ".join(texts[:LISTED]) + (f" and {more:,} more" if more > 0 else "")
 
 
 def counted(count: int, what: str) -> str:

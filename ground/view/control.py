@@ -30,6 +30,8 @@ URGENT: tuple[CommandName, ...] = ("return", "land")
 AGAIN_S = 0.4  # time after which a command that nobody has acknowledged is sent again
 ANSWER_S = TRIES * AGAIN_S  # longest time without an acknowledgement
 LOOK_S = 0.05  # longest time between two looks at a command that is not over
+# Systems and components that an acknowledgement to us is for: 0 is everybody.
+TO_US = {(system, component) for system in (0, OPERATOR[0]) for component in (0, OPERATOR[1])}
 ACK = mavlink.MAVLINK_MSG_ID_COMMAND_ACK
 
 
@@ -65,7 +67,7 @@ class Awaited:
                 elif frame.message_id == TEXT:
                     text = self._texts.joined(fields["text"], fields["id"], fields["chunk_seq"])
                     self._reason = text if text and self._run.refused else self._reason
-                elif _to_us(fields["target_system"], fields["target_component"]):
+                elif (fields["target_system"], fields["target_component"]) in TO_US:
                     self._run.acknowledged(fields["command"], fields["result"], now_s)
 
     def over(self, now_s: float) -> CommandAnswer | None:
@@ -91,10 +93,6 @@ class Awaited:
             return True
         landing = self._name == "return" and self._mode == Mode.LAND.name
         return self._run.accepted and (landing or not self._armed)
-
-
-def _to_us(system: int, component: int) -> bool:
-    return system in (0, OPERATOR[0]) and component in (0, OPERATOR[1])
 
 
 async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:

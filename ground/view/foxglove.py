@@ -20,10 +20,11 @@ import msgspec
 from msgspec import Meta
 from starlette.applications import Starlette
 from starlette.routing import WebSocketRoute
+from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from ground.view.access import AccessRules
-from ground.view.serving import Asgi, converse, guarded
+from ground.view.serving import converse, guarded
 from link.bus.messages import Belief
 from link.record.decoded import struct_schema
 from scene.foxglove import SceneEncoder, schema_of
@@ -79,7 +80,7 @@ class LiveFoxglove:
         """What to enter in Foxglove: ws://127.0.0.1:8765."""
         return f"ws://{HOST}:{self._rules.port}"
 
-    def app(self) -> Asgi:
+    def app(self) -> ASGIApp:
         """Return the application."""
         return guarded(Starlette(routes=[WebSocketRoute("/", self._join)]), self._rules)
 

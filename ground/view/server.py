@@ -15,6 +15,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from aircraft.operator import CommandName
@@ -22,7 +23,7 @@ from ground.view.access import PROTOCOL, WORD_STATES, AccessRules, Doorkeeper, w
 from ground.view.control import URGENT, CommandAnswer, operate
 from ground.view.live import LiveFleet, LiveVehicle
 from ground.view.records import RecordedFleet, RecordedVehicle
-from ground.view.serving import TRY_AGAIN_LATER, Asgi, converse, guarded
+from ground.view.serving import TRY_AGAIN_LATER, converse, guarded
 from ground.view.wire import Sent, packed
 from plume import __version__
 
@@ -70,7 +71,7 @@ class PageServer:
         self.bye = ""  # set when there will be nothing new to say; pages keep what they show
         self.left_at: float | None = None  # when the last page went, by time.monotonic()
 
-    def app(self) -> Asgi:
+    def app(self) -> ASGIApp:
         """Return the application."""
         routes = [
             Route("/", self._index),

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from starlette.types import ASGIApp
 
 from ground.desk.scenes import RecordedScene
 from ground.desk.status import Board
@@ -20,7 +21,7 @@ from ground.view.access import AccessRules
 from ground.view.foxglove import ViewerRequest
 from ground.view.records import RecordedVehicle
 from ground.view.server import PageServer, message_of
-from ground.view.serving import UNREADABLE, Asgi
+from ground.view.serving import UNREADABLE
 from link.bus.messages import Health
 from link.record.reader import read
 from link.record.record import Entry, SimulationClock
@@ -160,7 +161,13 @@ async def _both(*hostile: Any) -> None:
 
 
 async def _asked(
-    app: Asgi, host: bytes, origin: bytes, protocol: bytes, path: bytes, said: list[bytes], fine: bool = False
+    app: ASGIApp,
+    host: bytes,
+    origin: bytes,
+    protocol: bytes,
+    path: bytes,
+    said: list[bytes],
+    fine: bool = False,
 ) -> None:
     scope = {
         "path": path.decode("latin-1"),
