@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _summary(path: Path, log: LogFile, survey: Survey) -> Summary:
     tables = survey.tables
-    outcome, lines = _outcome(log.about, survey)
+    ending, lines = _outcome(log.about, survey)
     gaps = survey.gaps() + survey.unreadable
     policy = log.about.get("policy")
     mission = f"{policy}, seed {log.about.get('seed')}" if policy is not None else "mission unknown"
@@ -136,7 +136,7 @@ def _summary(path: Path, log: LogFile, survey: Survey) -> Summary:
         },
         "beliefs": len(survey.trace),
         "gaps": gaps,
-        **outcome,
+        **ending,
     }
     return Summary([printable(line) for line in head], tables, [*(gaps or ["gaps: none"]), *lines], fields)
 
@@ -157,10 +157,9 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
     """Return the outcome as fields and lines; compared with the true source if the log has it."""
     last = survey.last
     if last is None:
-        unknown = "no readable belief: the outcome of the search is unknown"
-        return {"ceased": None}, [
-            unknown if survey.published_s.get("belief") else "no belief: there was no search"
-        ]
+        unread = "no readable belief: the outcome of the search is unknown"
+        none = "no belief: there was no search"
+        return {"ceased": None}, [unread if "belief" in survey.published_s else none]
     estimate = f"estimate ({last.mean[0]:.2f}, {last.mean[1]:.2f}) ± {last.spread:.2f} m"
     world = _object(about, "mission").get("world")
     world = world if isinstance(world, str) else AS_MODELLED  # records of other versions may lack it
@@ -179,9 +178,8 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         verdict = f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps"
         return plain, [verdict, estimate, assumed_text(last.assume, last.stop, world)]
     trace = [point for _, point in sorted(survey.trace.items())]
-    result = outcome(
-        0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world
-    )  # no seed, policy, search time
+    # It has no seed, policy and search time.
+    result = outcome(0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world)
     judged = {
         "located": result.located,
         "error_m": result.error_m,
@@ -250,7 +248,7 @@ def _row_of_flight(log: FlightLog, index: int) -> Row:
 def _table(first: Messages, again: Messages, name: str) -> tuple[list[str], Iterator[Row]]:
     """Return the columns and the rows of a key, from two ways through the log: the rows are not kept.
 
-    Raises cli.BadInput that lists the keys.
+    Raises BadInput that lists the keys.
     """
     columns: dict[str, Any] = {}
     keys = set()

@@ -12,12 +12,11 @@ from ground.tlog import track
 from ground.tlog.clock import Floats, VehicleClock, vehicle_clock
 from ground.tlog.log import AUTOPILOT, Autopilot, FlightLog, choose, open_log
 from ground.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wind, recorded, steady
-from ground.tlog.track import Anchor, FlownPath, NorthEastUp
+from ground.tlog.track import FlownPath, NorthEastUp
 from link.bus.keys import MAVLINK_OUT, READING
 from link.bus.mavlink import GAS_NAME, WRAP_MS, Codec, Reading, pack_reading
 from link.cli import BadInput
 from link.record.record import Entry
-from plume.geodesy import to_global
 from plume.scenario import AREA_M
 from plume.world import World, float32
 
@@ -97,7 +96,7 @@ def read(
         raise BadInput(
             f"{path}: none of the {len(samples):,} samples can be a reading; left out: {out or 'none'}"
         )
-    where = _where(corner, flown.anchor)
+    where = Origin(*corner, *(flown.anchor.globe(*corner) if flown.anchor else (None, None)))
     log.notes.append(_note_on_readings([reading for reading, _ in readings], every))
     log.notes += [f"left out: {out}"] * bool(out)
     globe = "" if where.lat_deg is None else f" ({where.lat_deg:.7f}, {where.lon_deg:.7f})"
@@ -227,15 +226,6 @@ def _readings(
             gas = plume.gas(position, len(readings)) if plume else sample.gas
             readings.append((Reading(sample.time_ms - first_ms, position, float32(up), wind, gas), sample))
     return readings
-
-
-def _where(corner: Pair, anchor: Anchor | None) -> Origin:
-    north, east = corner
-    if anchor is None:
-        return Origin(north, east, None, None)
-    return Origin(
-        north, east, *to_global(anchor.lat_deg, anchor.lon_deg, north - anchor.north_m, east - anchor.east_m)
-    )
 
 
 def _note_on_readings(readings: Sequence[Reading], every_s: float) -> str:

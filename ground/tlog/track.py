@@ -13,7 +13,7 @@ from ground.tlog.frames import Integers
 from ground.tlog.log import GLOBAL, GPS, HEARTBEAT, LISTED, LOCAL, Autopilot, FlightLog
 from link.bus.mavlink import Message
 from link.cli import BadInput
-from plume.geodesy import to_local
+from plume.geodesy import to_global, to_local
 
 NorthEastUp = tuple[float, float, float]  # m
 Home = tuple[float, float, float]  # latitude and longitude in degrees, altitude above the sea in m
@@ -86,6 +86,10 @@ class Anchor(NamedTuple):
     lon_deg: float
     north_m: float
     east_m: float
+
+    def globe(self, north_m: float, east_m: float) -> tuple[float, float]:
+        """Return the latitude and longitude of a place in the local frame."""
+        return to_global(self.lat_deg, self.lon_deg, north_m - self.north_m, east_m - self.east_m)
 
 
 class FlownPath(NamedTuple):

@@ -86,9 +86,8 @@ async def converse(
             try:
                 hear(received.get("text") or received.get("bytes") or b"")
             except UNREADABLE as error:
-                reason = (
-                    str(error).encode()[:120].decode(errors="ignore")
-                )  # a WebSocket has room for 123 bytes
+                # A WebSocket has room for 123 bytes.
+                reason = str(error).encode()[:120].decode(errors="ignore")
                 break
             await asyncio.sleep(0)  # a flood from one client leaves the others their turn
         raise WebSocketDisconnect
