@@ -53,7 +53,7 @@ class RecordedScene:
             self._happening = happening
             return self._encoder.encode(self._history.at(), stamp_ns)
         if entry.key == WAYPOINT.name:
-            return list(self._encoder.encode_waypoint(self._history.waypoint, stamp_ns))
+            return list(self._encoder.encode_waypoint(self._history.waypoints.at(), stamp_ns))
         return list(self._encoder.encode_pose(self._history.craft, stamp_ns)) if LOCAL in news else []
 
     def _news(self, entry: Entry) -> set[int]:

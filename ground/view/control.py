@@ -20,7 +20,7 @@ from aircraft.operator import (
 )
 from ground.view.live import LiveVehicle
 from link.bus.frames import Frame
-from link.bus.mavlink import BadFrame, Codec, Message, Texts
+from link.bus.mavlink import BadFrame, Codec, Texts
 from link.modes import Mode, meaning
 from scene.follow.area import HEARTBEAT
 from scene.follow.telemetry import TEXT, frames
@@ -48,14 +48,10 @@ class Awaited:
     def __init__(self, name: CommandName, system: int, component: int = AUTOPILOT) -> None:
         """Begin with a command to a component: the simulated autopilot, or the search of a real one."""
         self._name, self._system, self._component = name, system, component
-        self._run = CommandRun(order(name, system, component), self._seen, lambda: self._reason, AGAIN_S)
+        self.run = CommandRun(order(name, system, component), self._seen, lambda: self._reason, AGAIN_S)
         self._texts = Texts()
         self._reason = self._mode = ""
         self._armed = True
-
-    def send(self, now_s: float) -> Message | None:
-        """Return the copy of the command that is due."""
-        return self._run.send(now_s)
 
     def hears(self, payload: bytes, now_s: float) -> None:
         """Take a payload of telemetry. The reason of a refusal is the text that follows it."""
@@ -66,13 +62,13 @@ class Awaited:
                     self._armed = bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                 elif frame.message_id == TEXT:
                     text = self._texts.joined(fields["text"], fields["id"], fields["chunk_seq"])
-                    self._reason = text if text and self._run.refused else self._reason
+                    self._reason = text if text and self.run.refused else self._reason
                 elif (fields["target_system"], fields["target_component"]) in TO_US:
-                    self._run.acknowledged(fields["command"], fields["result"], now_s)
+                    self.run.acknowledged(fields["command"], fields["result"], now_s)
 
     def over(self, now_s: float) -> CommandAnswer | None:
         """Return the answer once it is known."""
-        if (result := self._run.over(now_s)) is None:
+        if (result := self.run.over(now_s)) is None:
             return None
         reason = f"{NO_ANSWER} within {ANSWER_S:g} s" if result.reason == NO_ANSWER else result.reason
         return CommandAnswer(result.accepted, reason)
@@ -89,10 +85,10 @@ class Awaited:
         may fly it in the very mode in which the search does.
         """
         given_back = self._name == "resume" and self._component == SEARCH
-        if self._mode == WANTED[self._name].name and (self._run.accepted or not given_back):
+        if self._mode == WANTED[self._name].name and (self.run.accepted or not given_back):
             return True
         landing = self._name == "return" and self._mode == Mode.LAND.name
-        return self._run.accepted and (landing or not self._armed)
+        return self.run.accepted and (landing or not self._armed)
 
 
 async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
@@ -116,7 +112,7 @@ async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
     vehicle.listeners.add(listener)
     try:
         while (answer := awaited.over(time.monotonic())) is None:
-            if copy := awaited.send(time.monotonic()):
+            if copy := awaited.run.send(time.monotonic()):
                 vehicle.send(codec.pack(copy))
             with suppress(TimeoutError):
                 async with asyncio.timeout(LOOK_S):

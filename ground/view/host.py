@@ -104,7 +104,7 @@ class Host:
         self._pages.bye = "the mission is over"
         self._pages.news()
         first_until = time.monotonic() + FIRST_PAGE_S
-        while self._pages.watched or time.monotonic() < (
+        while self._pages.clients or time.monotonic() < (
             first_until if self._pages.left_at is None else self._pages.left_at + RELOAD_S
         ):
             await asyncio.sleep(0.1)

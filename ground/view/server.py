@@ -66,7 +66,7 @@ class PageServer:
         self._shown = shown
         self._rules = rules
         self._door = Doorkeeper(rules)
-        self._clients: set[Client] = set()
+        self.clients: set[Client] = set()  # the pages that are connected
         self._commanded: dict[str, tuple[CommandName, asyncio.Task[CommandAnswer]]] = {}  # last, by vehicle
         self.bye = ""  # set when there will be nothing new to say; pages keep what they show
         self.left_at: float | None = None  # when the last page went, by time.monotonic()
@@ -82,14 +82,9 @@ class PageServer:
         app.router.redirect_slashes = False  # it fails on a query that is not UTF-8
         return guarded(app, self._rules)
 
-    @property
-    def watched(self) -> bool:
-        """Whether a page is connected."""
-        return bool(self._clients)
-
     def news(self) -> None:
         """Wake all connections: there may be something new to see."""
-        for client in self._clients:
+        for client in self.clients:
             client.wake.set()
 
     async def _index(self, _request: Request) -> Response:
@@ -101,14 +96,14 @@ class PageServer:
         address = socket.client.host if socket.client else ""
         why_not = self._door.why_no_commands(word_of(offered), address, time.monotonic())
         client = Client(socket, self, self._shown, why_not)
-        if sum(other.may_command == client.may_command for other in self._clients) >= MOST_CLIENTS:
+        if sum(other.may_command == client.may_command for other in self.clients) >= MOST_CLIENTS:
             await socket.close(TRY_AGAIN_LATER, f"{MOST_CLIENTS} pages are open; close one of them")
             return
-        self._clients.add(client)
+        self.clients.add(client)
         try:
             await client.run()
         finally:
-            self._clients.discard(client)
+            self.clients.discard(client)
             self.left_at = time.monotonic()
 
     async def order(self, name: CommandName, to: str) -> CommandAnswer:

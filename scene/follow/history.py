@@ -81,7 +81,7 @@ class History:
         self.measurements: Timed[Measurement] = timed(MOST)
         self._scatters: Timed[Scatter | None] = timed()
         self._winds: Timed[tuple[float, float]] = timed()
-        self._waypoints: Timed[Point | None] = timed()
+        self.waypoints: Timed[Point | None] = timed()
         self._walls: Timed[float] = timed()
         self._endings: Timed[Ending] = timed()
         self._stop = self._assume = ""
@@ -141,7 +141,7 @@ class History:
                 case WAYPOINT.name:
                     places = [place for _, said in frames(payload, {SETPOINT}) if (place := waypoint(said))]
                     for place in places:
-                        self._waypoints.add(time_s, place)
+                        self.waypoints.add(time_s, place)
                     return bool(places)
                 case _ if key.startswith(HEALTH_PREFIX):
                     health = msgspec.json.decode(payload, type=Health)
@@ -233,7 +233,7 @@ class History:
     def _ended(self, time_s: float, ending: Ending) -> None:
         """Take the end of the search: no waypoint of it is flown to any more."""
         self._endings.add(time_s, ending)
-        self._waypoints.add(time_s, None)
+        self.waypoints.add(time_s, None)
 
     # ---- looking ----
 
@@ -241,11 +241,6 @@ class History:
     def begin_s(self) -> float:
         """Simulation time at which the vehicle was first heard; 0 if it was started then."""
         return began_s(self._crafts.times_s)
-
-    @property
-    def waypoint(self) -> Point | None:
-        """The next waypoint; None if there is none, or none any more."""
-        return self._waypoints.at()
 
     def at(self, time_s: float = math.inf, wall_s: float | None = None) -> Scene:
         """Return the scene at a simulation time, by default the newest.
@@ -262,7 +257,7 @@ class History:
             track=self._track.until(time_s),
             measurements=measurements,
             scatter=self._scatters.at(time_s),
-            waypoint=self._waypoints.at(time_s),
+            waypoint=self.waypoints.at(time_s),
             wind=self._winds.at(time_s) or (craft.condition.wind if craft else None),
             stop=self._stop,
             assume=self._assume,
