@@ -1,5 +1,4 @@
-"""What people see, keep and command: the page, the recorder, logs, replay, drawings and status are in its
-rooms.
+"""What people see, keep and command: page, recorder, logs, replay, drawings and status are its rooms.
 
 Imports: nothing of ours.
 """

@@ -1,9 +1,10 @@
 """Animations: frames of a drawing written as a GIF, by Pillow, or as an MP4, by ffmpeg."""
 
-import subprocess
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
+from subprocess import PIPE, Popen
 from tempfile import TemporaryFile
 
 import numpy as np
@@ -21,7 +22,7 @@ MP4 = "-pix_fmt yuv420p -movflags +faststart -fflags +bitexact -f mp4"  # what a
 def write_gif(frames: Iterable[Picture], path: Path) -> None:
     """Write frames as a GIF that repeats for ever.
 
-    They must differ, each from the one before it. Raises ValueError without any.
+    They must differ, each from the one before it.
     """
     from PIL import Image
 
@@ -31,8 +32,6 @@ def write_gif(frames: Iterable[Picture], path: Path) -> None:
         image = Image.fromarray(frame)
         palette = palette or image.quantize(255)  # the same for all: no flicker, and half the bytes
         images.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
-    if not images:
-        raise ValueError("no frames")
     lasting_ms = [1000 // FRAMES_PER_S] * (len(images) - 1) + [round(LAST_S * 1000)]
     images[0].save(
         path,
@@ -47,29 +46,22 @@ def write_gif(frames: Iterable[Picture], path: Path) -> None:
 def write_mp4(frames: Iterable[Picture], path: Path) -> None:
     """Write frames as an MP4, by the program ffmpeg.
 
-    Raises ValueError without any frames, OSError if ffmpeg is missing or fails.
+    Raises OSError if ffmpeg is missing or fails.
     """
     feed = _held(frames)
-    first = next(feed, None)
-    if first is None:
-        raise ValueError("no frames")
+    first = next(feed)
     height, width, _ = first.shape
     raw = RAW.format(rate=FRAMES_PER_S, width=width, height=height)
     words = ["ffmpeg", "-y", "-loglevel", "error", *raw.split(), *MP4.split(), str(path)]
     with TemporaryFile() as said:
-        encoder = subprocess.Popen(words, stdin=subprocess.PIPE, stderr=said)
-        assert encoder.stdin
-        try:
-            for frame in chain([first], feed):
-                encoder.stdin.write(frame.tobytes())
-            encoder.stdin.close()
-        except BrokenPipeError:  # it says why below
-            pass
-        except BaseException:
-            encoder.kill()
-            encoder.wait()
-            raise
-        if encoder.wait():
+        # A broken pipe: it says why below.
+        with (
+            suppress(BrokenPipeError),
+            Popen(words, stdin=PIPE, stderr=said) as encoder,
+        ):
+            assert encoder.stdin
+            encoder.stdin.writelines(frame.tobytes() for frame in chain([first], feed))
+        if encoder.returncode:
             said.seek(0)
             lines = said.read().decode(errors="replace").strip().splitlines()
             raise OSError(f"ffmpeg: {lines[-1] if lines else f'exit status {encoder.returncode}'}")
@@ -77,8 +69,6 @@ def write_mp4(frames: Iterable[Picture], path: Path) -> None:
 
 def _held(frames: Iterable[Picture]) -> Iterator[Picture]:
     """Yield the frames, and the last one again and again until it has stayed as long as it should."""
-    frame = None
     for frame in frames:
         yield frame
-    if frame is not None:
-        yield from [frame] * (round(LAST_S * FRAMES_PER_S) - 1)
+    yield from [frame] * (round(LAST_S * FRAMES_PER_S) - 1)

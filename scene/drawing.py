@@ -1,5 +1,4 @@
-"""The drawing of scenes: one figure with the map of the search and, beside it, the curves of spread and
-gas.
+"""The drawing of scenes: one figure with the map of the search and the curves of spread and gas.
 
 A figure for print shows a whole mission and the beliefs at chosen steps; the same figure, shown scene by
 scene, is an animation.
@@ -7,7 +6,6 @@ scene, is an animation.
 
 import math
 from collections.abc import Iterable, Sequence
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +25,7 @@ from matplotlib.patches import Ellipse, FancyArrowPatch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from scene.scene import Release, Scene, ellipse
+from scene.scene import Release, Scatter, Scene, ellipse
 
 # Settings of matplotlib while a picture is made and saved.
 STYLE: Any = {
@@ -58,6 +56,7 @@ PLUME = LinearSegmentedColormap.from_list(
 INK = "#222222"
 # Colours of the beliefs shown, of Okabe and Ito's palette but for the last.
 BELIEFS = ("#56b4e9", "#009e73", "#0072b2", "#cc79a7", "#882255")
+PATH: dict[str, Any] = {"color": INK, "linewidth": 1.2}
 START: dict[str, Any] = {
     "marker": "o",
     "markersize": 7,
@@ -96,6 +95,7 @@ READINGS: dict[str, Any] = {
     "edgecolors": INK,
     "linewidths": 0.7,
 }
+NO_SCATTER = Scatter(np.empty((0, 2), np.float32), np.empty(0, np.float32))
 
 
 def ticks(axis: Axis, values: Iterable[float], form: str = "{:g}") -> None:
@@ -107,14 +107,12 @@ def ticks(axis: Axis, values: Iterable[float], form: str = "{:g}") -> None:
 
 def plume(ax: Axes, release: Release, area_m: float) -> AxesImage:
     """Shade the mean gas of a plume on a log scale."""
-    gas = release.gas(area_m, CELLS)
-    extent = (0, area_m, 0, area_m)
     return ax.imshow(
-        np.maximum(gas, GAS[0]),
+        np.maximum(release.gas(area_m, CELLS), GAS[0]),
         norm=LogNorm(*GAS),
         cmap=PLUME,
         origin="lower",
-        extent=extent,
+        extent=(0, area_m, 0, area_m),
         interpolation="bilinear",
     )
 
@@ -140,27 +138,20 @@ class _Cloud:
             animated=True,
         )
         drawing.map.add_patch(self.ring)
-        style: dict[str, Any] = {
-            "color": colour,
-            "marker": "o",
-            "markersize": 7,
-            "linestyle": "none",
-            "zorder": 4,
-            "animated": True,
-        }
-        (self.spread,), (self.gas,) = (chart.plot([], [], **style) for chart in (drawing.spread, drawing.gas))
+        (self.spread,), (self.gas,) = (
+            chart.plot(
+                [], [], color=colour, marker="o", markersize=7, linestyle="none", zorder=4, animated=True
+            )
+            for chart in (drawing.spread, drawing.gas)
+        )
 
-    def show(self, scene: Scene | None) -> None:
-        """Show the newest belief of a scene, or none."""
-        last = scene.measurements[-1] if scene and scene.measurements else None
-        places, sizes = np.empty((0, 2), np.float32), np.empty(0, np.float32)
-        if scene and scene.scatter is not None:
-            places, weights = scene.scatter.places, scene.scatter.weights
-            sizes = np.minimum(
-                DOT * min(len(weights), MANY) * weights, 20 * DOT
-            )  # a dot's area is its weight
-        self.dots.set_offsets(places)
-        self.dots.set_sizes(sizes)
+    def show(self, scene: Scene) -> None:
+        """Show the newest belief of a scene, if it has one."""
+        last = scene.measurements[-1] if scene.measurements else None
+        cloud = scene.scatter or NO_SCATTER
+        areas = DOT * min(len(cloud.weights), MANY) * cloud.weights  # as the weights
+        self.dots.set_offsets(cloud.places)
+        self.dots.set_sizes(np.minimum(areas, 20 * DOT))
         self.ring.set_visible(last is not None)
         if last:
             longer, shorter, angle = ellipse(last.covariance)
@@ -177,15 +168,16 @@ class Drawing:
     What does not change is drawn once.
     """
 
-    def __init__(self, scene: Scene, beliefs: int = 1, steps: int = 20) -> None:
+    def __init__(self, scene: Scene, beliefs: Sequence[Scene] = (), steps: int = 20) -> None:
         """Draw what does not change.
 
-        `beliefs`: how many can be shown at once, 1 to 5; the charts begin with room for `steps`.
+        beliefs: for print, up to 5 scenes whose newest beliefs are shown; else each scene's own belief is,
+        with the vehicle. The charts begin with room for `steps`.
         """
         self._backdrop = scene.backdrop
+        self._is_print = bool(beliefs)
         self._room = [float(max(steps, 1)), 0.5, 10.0]  # of the charts: steps, gas below 0, gas
         self._still: Any = None  # the picture without what changes; None while it is not up to date
-        self._named: list[str] | None = None
         with matplotlib.rc_context(STYLE):
             self.figure = Figure(figsize=SIZE_IN, dpi=FRAME_DPI)
             self._canvas: Any = FigureCanvasAgg(self.figure)  # has no types
@@ -195,27 +187,22 @@ class Drawing:
             self._compass = self.figure.add_axes((0.475, 0.77, 0.07, 0.07 * SIZE_IN[0] / SIZE_IN[1]))
             self._lay_map()
             self._lay_charts(scene)
-            self._begin(beliefs)
-
-    def show(self, scene: Scene, beliefs: Sequence[Scene] | None = None) -> "Drawing":
-        """Show a scene: with vehicle and belief or, for print, with the newest belief of each of `beliefs`.
-
-        Returns itself.
-        """
-        vehicle = beliefs is None
-        beliefs = [scene] if beliefs is None else beliefs
-        with matplotlib.rc_context(STYLE):
-            self._make_room(scene)
-            self._show_path(scene, vehicle)
-            self._show_wind(scene)
-            for cloud, believed in zip_longest(self._clouds, beliefs):
+            self._begin(max(len(beliefs), 1))
+            for cloud, believed in zip(self._clouds, beliefs, strict=False):
                 cloud.show(believed)
             said = [it.measurements[-1].step for it in beliefs if it.measurements]
-            self._lay_legend([""] if vehicle else [f" at step {step}" for step in said], vehicle)
-            title = ": ".join(
-                filter(None, (self._backdrop.title, scene.ending.verdict if scene.ending else ""))
-            )
-            self._title.set_text(title)
+            self._lay_legend([f" at step {step}" for step in said] or [""])
+
+    def show(self, scene: Scene) -> "Drawing":
+        """Show a scene; returns itself."""
+        with matplotlib.rc_context(STYLE):
+            self._make_room(scene)
+            self._show_path(scene)
+            self._show_wind(scene)
+            if not self._is_print:
+                self._clouds[0].show(scene)
+            verdict = scene.ending.verdict if scene.ending else ""
+            self._title.set_text(": ".join(filter(None, (self._backdrop.title, verdict))))
             self._text.set_text(_state(scene))
         return self
 
@@ -258,8 +245,14 @@ class Drawing:
         self.spread.tick_params(labelbottom=False)
         if zeta_m is not None:
             self.spread.axhline(zeta_m, color=INK, linestyle="--", linewidth=1)
-            over = self.spread.get_yaxis_transform()  # below the line there is no spread before the stop
-            self.spread.text(0.015, zeta_m * 0.93, f"ζ = {zeta_m:g} m", transform=over, va="top", size=9)
+            self.spread.text(  # below the line, where there is no spread before the stop
+                0.015,
+                zeta_m * 0.93,
+                f"ζ = {zeta_m:g} m",
+                transform=self.spread.get_yaxis_transform(),
+                va="top",
+                size=9,
+            )
         self.gas.set(xlabel="step", ylabel="gas, g/m³")
         self.gas.set_yscale("symlog", linthresh=1)
         ticks(self.gas.yaxis, (0, 1, 10, 100, 1000))
@@ -277,53 +270,42 @@ class Drawing:
     def _make_room(self, scene: Scene) -> None:
         """Widen the charts if a scene has more steps or more gas than fits."""
         gas = [it.gas for it in scene.measurements if math.isfinite(it.gas)]
-        steps = max((it.step for it in scene.measurements), default=0)
-        needed = steps, -min(gas, default=0.0), max(gas, default=0.0)
+        steps = [it.step for it in scene.measurements]
+        needed = max(steps, default=0), -min(gas, default=0.0), max(gas, default=0.0)
         room = [had if need <= had else 2.0 * need for had, need in zip(self._room, needed, strict=True)]
         if room != self._room:
             self._room = room
             self._lay_limits()
 
-    def _lay_legend(self, beliefs: Sequence[str], vehicle: bool) -> None:
-        """Lay the legend, with words for each belief shown, unless it is there."""
-        if beliefs == self._named:
-            return
-        self._named = list(beliefs)
-        if self.figure.legends:
-            self.figure.legends[0].remove()
-        path = {
-            "color": INK,
-            "linewidth": 1.2,
-            "marker": "o",
-            "markersize": 4.5,
-            "markerfacecolor": PLUME(0.4),
-        }
+    def _lay_legend(self, beliefs: Sequence[str]) -> None:
+        """Lay the legend, with words for each belief."""
         styles: dict[str, Any] = {
-            "path and readings": path,
+            "path and readings": PATH | {"marker": "o", "markersize": 4.5, "markerfacecolor": PLUME(0.4)},
             "start": START | {"color": INK},
             "estimate": ESTIMATE,
         }
         if self._backdrop.release:
             styles["true source"] = SOURCE
-        if vehicle:
+        if not self._is_print:
             styles["vehicle"] = VEHICLE
         for cloud, words in zip(self._clouds, beliefs, strict=False):
             mark = {"color": cloud.colour, "marker": "o", "markersize": 6, "linewidth": 1.8}
             styles[f"belief{words}: particles, 2 σ"] = mark
-        entries = [Line2D([], [], **{"label": label} | style) for label, style in styles.items()]
         self.figure.legend(
-            handles=entries, loc="lower center", ncols=6 if vehicle else 4, fontsize=9, columnspacing=1.6
+            handles=[Line2D([], [], **{"label": label} | style) for label, style in styles.items()],
+            loc="lower center",
+            ncols=4 if self._is_print else 6,
+            fontsize=9,
+            columnspacing=1.6,
         )
-        self._still = None
 
     # ---- what changes ----
 
     def _begin(self, beliefs: int) -> None:
         """Make the artists that scenes change."""
-        self._clouds = [
-            _Cloud(self, colour) for colour in BELIEFS[max(3 - beliefs, 0) :][:beliefs]
-        ]  # of up to three, the last is dark
-        line: dict[str, Any] = {"color": INK, "linewidth": 1.2, "animated": True}
+        colours = BELIEFS[max(3 - beliefs, 0) :][:beliefs]  # of up to three, the last is dark
+        self._clouds = [_Cloud(self, colour) for colour in colours]
+        line = PATH | {"animated": True}
         (self.path,) = self.map.plot([], [], zorder=2.5, label="path", **line)
         self.readings = self.map.scatter([], [], c=[], zorder=3, animated=True, **READINGS)
         (self._start,) = self.map.plot([], [], color=INK, animated=True, **START)
@@ -342,7 +324,7 @@ class Drawing:
         self._text = self.map.text(0, 1.025, "", size=9, **above)
         self._moving: list[Any] = sorted(self.figure.findobj(Artist.get_animated), key=Artist.get_zorder)
 
-    def _show_path(self, scene: Scene, vehicle: bool) -> None:
+    def _show_path(self, scene: Scene) -> None:
         taken = scene.measurements
         places = np.array([it.position for it in taken], np.float64).reshape(-1, 2)
         steps, gas = [it.step for it in taken], [it.gas for it in taken]
@@ -355,7 +337,7 @@ class Drawing:
         self.gases.set_data(steps, gas)
         self._start.set_data(*places[:1].T)
         self._estimate.set_data(*np.array([it.estimate for it in taken[-1:]]).reshape(-1, 2).T)
-        shown = scene.craft if vehicle else None
+        shown = None if self._is_print else scene.craft
         self._craft.set_data(*([shown.position[0]], [shown.position[1]]) if shown else ([], []))
         if shown:
             self._craft.set_marker(_nose(shown.heading))

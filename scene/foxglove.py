@@ -1,9 +1,8 @@
-"""Scenes as messages of Foxglove's schemas, in protobuf, for records and viewers: Foxglove, Lichtblick,
-Rerun.
+"""Scenes as messages of Foxglove's schemas, for records and viewers: Foxglove, Lichtblick, Rerun.
 
-The frame `map` has its origin at home, x east, y north, z up; `vehicle` is the vehicle's own, its nose
-along x. Metres, and degrees where a schema wants them. What the scene knows only in the plane lies at z =
-0.
+They are protobuf. The frame `map` has its origin at home, x east, y north, z up; `vehicle` is the vehicle's
+own, its nose along x. Metres, and degrees where a schema wants them. What the scene knows only in the plane
+lies at z = 0.
 
 | topic | schema | holds | at |
 |---|---|---|---|
@@ -44,10 +43,11 @@ from plume.geodesy import to_global
 from scene.scene import ERROR, WARNING, Craft, Happening, Measurement, Point, Release, Scatter, Scene, ellipse
 
 TOPICS = "scene/"  # all topics begin with it
-MAP, VEHICLE, ESTIMATE = "map", "vehicle", "estimate"
+MAP_FRAME, VEHICLE_FRAME, ESTIMATE_FRAME = "map", "vehicle", "estimate"
 POSES_PER_S = 10  # most poses of the vehicle in a second of simulation time
 LONGEST_PATH = 1000  # readings of the path: the newest ones
 PLUME_CELLS = 60
+# Of Okabe and Ito, which colour-blind people tell apart; (red, green, blue).
 COLOURS = {
     "vehicle": (0.90, 0.62, 0.0),
     "estimate": (0.34, 0.71, 0.91),
@@ -55,7 +55,6 @@ COLOURS = {
     "source": (0.84, 0.37, 0.0),
     "area": (0.6, 0.6, 0.6),
 }
-"""Of Okabe and Ito, which colour-blind people tell apart; (red, green, blue)."""
 FLOAT32 = PackedElementField.FLOAT32
 LINE_LOOP = 1  # LinePrimitive's type: a closed line
 LEVELS = {WARNING: Log.WARNING, ERROR: Log.ERROR}
@@ -75,8 +74,9 @@ class Encoded(NamedTuple):
 
 
 def schema_of(kind: Any) -> tuple[str, bytes]:
-    """Return the name of a protobuf class and its schema: an encoded FileDescriptorSet, each file after
-    those that it needs.
+    """Return the name of a protobuf class and its schema, an encoded FileDescriptorSet.
+
+    Each file in it comes after those that it needs.
     """
     files: dict[str, FileDescriptor] = {}
 
@@ -104,7 +104,7 @@ class SceneEncoder:
     def __init__(self, prefix: str = "") -> None:
         """Begin. `prefix` is put before topics and frames, where one connection shows several vehicles."""
         self._prefix = prefix
-        self._map = prefix + MAP
+        self._map = prefix + MAP_FRAME
         self._said: dict[str, bytes] = {}
         self._slot = -1
         self._home: tuple[float, float, float] | None = None  # as a fix: degrees, and m above mean sea level
@@ -139,7 +139,7 @@ class SceneEncoder:
         self._slot = pose_slot(craft.time_s)
         transform: Part = {
             "parent_frame_id": self._map,
-            "child_frame_id": self._prefix + VEHICLE,
+            "child_frame_id": self._prefix + VEHICLE_FRAME,
             "translation": {**_at(craft.position), "z": craft.altitude_m},
             "rotation": _turn(craft.heading if math.isfinite(craft.heading) else 0.0),
         }
@@ -150,7 +150,7 @@ class SceneEncoder:
                 east, north = craft.position
                 self._home = *to_global(latitude, longitude, -north, -east), altitude - craft.altitude_m
             fix = LocationFix(
-                frame_id=self._prefix + VEHICLE,
+                frame_id=self._prefix + VEHICLE_FRAME,
                 latitude=latitude,
                 longitude=longitude,
                 altitude=altitude,
@@ -167,7 +167,7 @@ class SceneEncoder:
         release, side_m = scene.backdrop.release, scene.backdrop.area_m
         if "area" not in self._said:
             yield from self._marks("area", [_square(side_m)], stamp_ns)
-            yield from self._marks("vehicle", [_arrow()], stamp_ns, VEHICLE)
+            yield from self._marks("vehicle", [_arrow()], stamp_ns, VEHICLE_FRAME)
         if release != self._release:
             self._release = release
             source = [_ball("source", release.source, 0.6)] if release else []
@@ -205,7 +205,7 @@ class SceneEncoder:
             (east, north), (xx, xy, yy) = last.estimate, last.covariance
             latitude, longitude = to_global(*self._home[:2], north, east)
             fix = LocationFix(
-                frame_id=self._prefix + ESTIMATE,
+                frame_id=self._prefix + ESTIMATE_FRAME,
                 latitude=latitude,
                 longitude=longitude,
                 altitude=self._home[2],
@@ -237,7 +237,9 @@ class SceneEncoder:
             log.timestamp.FromNanoseconds(stamp_ns)
             yield self._encoded("log", log)
 
-    def _marks(self, topic: str, entities: list[Part], stamp_ns: int, frame: str = MAP) -> Iterator[Encoded]:
+    def _marks(
+        self, topic: str, entities: list[Part], stamp_ns: int, frame: str = MAP_FRAME
+    ) -> Iterator[Encoded]:
         """Yield marks in a frame; none of them delete those that were there."""
         placed: Part = [
             {**entity, "frame_id": self._prefix + frame, "frame_locked": True} for entity in entities
@@ -305,44 +307,58 @@ def _colour(name: str, alpha: float = 1.0) -> Part:
 
 
 def _ball(name: str, place: Point, diameter_m: float) -> Part:
-    ball = {"pose": _pose(place), "size": dict.fromkeys("xyz", diameter_m), "color": _colour(name)}
-    return {"id": name, "spheres": [ball]}
+    return {
+        "id": name,
+        "spheres": [{"pose": _pose(place), "size": dict.fromkeys("xyz", diameter_m), "color": _colour(name)}],
+    }
 
 
 def _disc(measurement: Measurement) -> Part:
-    """Return the covariance of an estimate as a flat disc; its axes are twice the half axes of 2 standard
-    deviations.
-    """
+    """Return the 2σ ellipse of an estimate as a flat disc; its axes are twice the half axes."""
     longer, shorter, angle = ellipse(measurement.covariance)
-    disc = {
-        "pose": _pose(measurement.estimate, angle),
-        "size": {"x": 2 * longer, "y": 2 * shorter, "z": DISC_M},
-        "color": _colour("estimate", 0.3),
-        "bottom_scale": 1.0,
-        "top_scale": 1.0,
+    return {
+        "id": "covariance",
+        "cylinders": [
+            {
+                "pose": _pose(measurement.estimate, angle),
+                "size": {"x": 2 * longer, "y": 2 * shorter, "z": DISC_M},
+                "color": _colour("estimate", 0.3),
+                "bottom_scale": 1.0,
+                "top_scale": 1.0,
+            }
+        ],
     }
-    return {"id": "covariance", "cylinders": [disc]}
 
 
 def _square(side_m: float) -> Part:
-    line = {
-        "type": LINE_LOOP,
-        "pose": _pose(),
-        "thickness": 2.0,
-        "scale_invariant": True,  # pixels
-        "points": [_at(corner) for corner in ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))],
-        "color": _colour("area"),
+    return {
+        "id": "area",
+        "lines": [
+            {
+                "type": LINE_LOOP,
+                "pose": _pose(),
+                "thickness": 2.0,
+                "scale_invariant": True,  # pixels
+                "points": [
+                    _at(corner) for corner in ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))
+                ],
+                "color": _colour("area"),
+            }
+        ],
     }
-    return {"id": "area", "lines": [line]}
 
 
 def _arrow() -> Part:
-    arrow = {
-        "pose": _pose(),
-        "shaft_length": 0.6,
-        "shaft_diameter": 0.2,
-        "head_length": 0.4,
-        "head_diameter": 0.5,
-        "color": _colour("vehicle"),
+    return {
+        "id": "vehicle",
+        "arrows": [
+            {
+                "pose": _pose(),
+                "shaft_length": 0.6,
+                "shaft_diameter": 0.2,
+                "head_length": 0.4,
+                "head_diameter": 0.5,
+                "color": _colour("vehicle"),
+            }
+        ],
     }
-    return {"id": "vehicle", "arrows": [arrow]}

@@ -37,8 +37,9 @@ class Release:
         return cls(scenario.source, scenario.wind, scenario.q, scenario.d, scenario.tau, scenario.height)
 
     def gas(self, area_m: float, cells: int) -> Floats:
-        """Return the mean gas in the search plane, g/m³: (cells, cells), row 0 in the south, at the cells'
-        centres.
+        """Return the mean gas in the search plane, g/m³, at the centres of cells.
+
+        Its shape is (cells, cells), row 0 in the south.
         """
         axis = (np.arange(cells) + 0.5) * (area_m / cells)
         x, y = np.meshgrid(axis, axis)
@@ -185,14 +186,13 @@ def judged(step: int, estimate: Point, spread_m: float, release: Release | None)
     return Ending(verdict, f"{words}; error {error_m:.2f} m")
 
 
-def ellipse(covariance: tuple[float, float, float], deviations: float = 2.0) -> tuple[float, float, float]:
-    """Return the ellipse of a covariance (xx, xy, yy) m²: half axes, m, longer first, and the longer one's
-    angle, ccw from +x.
+def ellipse(covariance: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the 2σ ellipse of a covariance (xx, xy, yy) m².
 
-    `deviations` standard deviations: with 2, a Gaussian in the plane lies within it with a probability of
-    86.5%.
+    Its half axes, m, the longer first, and the longer one's angle, ccw from +x. A Gaussian in the plane lies
+    within it with a probability of 86.5%.
     """
     xx, xy, yy = covariance
     middle, half = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
-    longer, shorter = (deviations * math.sqrt(max(middle + sign * half, 0.0)) for sign in (1, -1))
+    longer, shorter = (2.0 * math.sqrt(max(middle + sign * half, 0.0)) for sign in (1, -1))
     return longer, shorter, math.atan2(2 * xy, xx - yy) / 2

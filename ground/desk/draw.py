@@ -6,16 +6,13 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from link import cli
 from link.files import whole
-from scene.animation import write_gif, write_mp4
-
-if TYPE_CHECKING:
-    from scene.animation import Picture
-    from scene.follow.history import History
-    from scene.scene import Measurement, Scene
+from link.record.reader import RecordError, read
+from scene.animation import Picture, write_gif, write_mp4
+from scene.follow.history import History, history_of, remark_on
+from scene.scene import Measurement, Scene
 
 MOST_STEPS = 1_000_000
 PICTURES = (".png", ".svg")
@@ -60,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw the log; returns the exit status: 1 if pieces of the log are missing."""
+    """Draw the log; returns the exit status: 1 if pieces of the log are missing. Raises BadInput."""
     if find_spec("matplotlib") is None:
         print("error: draw needs matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
         return cli.FAILED
@@ -72,58 +69,46 @@ def run(args: argparse.Namespace) -> int:
         return cli.FAILED
     if args.out is None and not (args.gif or args.mp4):
         args.out = args.log.with_suffix(".png")
-    wanted = {
-        flag: path for flag, path in (("--out", args.out), ("--gif", args.gif), ("--mp4", args.mp4)) if path
-    }
-    try:
-        history, damaged = _history(args.log)
-        for flag, path in wanted.items():
-            if refusal := cli.unwritable(flag, [path], args.force):
-                raise _Undrawable(refusal)
-        beliefs = _beliefs(history, args.at) if args.out else []
-        for flag, path in wanted.items():
-            try:
-                with whole(path) as partial:
-                    if flag == "--out":
-                        _draw(history, beliefs, partial, path.suffix[1:])
-                    else:
-                        (write_gif if flag == "--gif" else write_mp4)(_frames(history), partial)
-            except OSError as error:
-                raise _Undrawable(
-                    f"{flag}: {str(path)!r} cannot be written: {error.strerror or error}"
-                ) from None
-            print(path)
-    except _Undrawable as error:
-        print(f"error: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+    flags = (("--out", args.out), ("--gif", args.gif), ("--mp4", args.mp4))
+    wanted = {flag: path for flag, path in flags if path}
+    history, damaged = _history(args.log)
+    for flag, path in wanted.items():
+        if refusal := cli.unwritable(flag, [path], args.force):
+            raise cli.BadInput(refusal)
+    beliefs = _beliefs(history, args.at) if args.out else []
+    for flag, path in wanted.items():
+        try:
+            with whole(path) as partial:
+                if flag == "--out":
+                    _draw(history, beliefs, partial, path.suffix[1:])
+                else:
+                    (write_gif if flag == "--gif" else write_mp4)(_frames(history), partial)
+        except OSError as error:
+            raise cli.BadInput(
+                f"{flag}: {str(path)!r} cannot be written: {error.strerror or error}"
+            ) from None
+        print(path)
     return cli.FAILED if damaged else 0
 
 
-class _Undrawable(ValueError):
-    """The log or a flag is not one that can be drawn; the message is one line."""
-
-
-def _history(path: Path) -> tuple["History", bool]:
-    """Return what a log tells, and whether it is damaged. Raises _Undrawable."""
-    from link.record.reader import RecordError, read
-    from scene.follow.recorded import history_of, remark_on
-
+def _history(path: Path) -> tuple[History, bool]:
+    """Return what a log tells, and whether it is damaged. Raises BadInput."""
     try:
         recording = read(path)
         history = history_of(recording)
     except RecordError as error:
-        raise _Undrawable(str(error)) from None
+        raise cli.BadInput(str(error)) from None
     if not history.measurements.values:
-        raise _Undrawable(f"{path} has no belief that can be read: there is nothing to draw")
+        raise cli.BadInput(f"{path} has no belief that can be read: there is nothing to draw")
     if remark := remark_on(recording, history):
         print(f"warning: {path} {remark}", file=sys.stderr)
     return history, bool(recording.damage)
 
 
-def _beliefs(history: "History", steps: Sequence[int] | None) -> list["Scene"]:
+def _beliefs(history: History, steps: Sequence[int] | None) -> list[Scene]:
     """Return the scenes whose beliefs the picture shows.
 
-    Raises _Undrawable on a step that the log has not.
+    Raises BadInput on a step that the log has not.
     """
     from scene.drawing import BELIEFS
 
@@ -131,17 +116,19 @@ def _beliefs(history: "History", steps: Sequence[int] | None) -> list["Scene"]:
     chosen = telling(list(measured.values())) if steps is None else sorted(steps)
     for step in chosen:
         if step not in measured:
-            raise _Undrawable(
+            raise cli.BadInput(
                 f"--at: {step} is not allowed; wanted steps of the log, {min(measured)} to {max(measured)}"
             )
     if len(chosen) > len(BELIEFS):
-        raise _Undrawable(f"--at: {len(chosen)} steps are not allowed; wanted at most {len(BELIEFS)}")
+        raise cli.BadInput(f"--at: {len(chosen)} steps are not allowed; wanted at most {len(BELIEFS)}")
     return [history.at(measured[step].time_s) for step in chosen]
 
 
-def telling(measured: Sequence["Measurement"]) -> list[int]:
-    """Return the first steps at which the spread has gone a third and two thirds of its way from first to
-    last, and the last step.
+def telling(measured: Sequence[Measurement]) -> list[int]:
+    """Return the steps whose beliefs tell most.
+
+    They are the first ones at which the spread has gone a third and two thirds of its way from first to last,
+    and the last step.
     """
     first, last = measured[0], measured[-1]
     way_m = first.spread_m - last.spread_m
@@ -152,15 +139,14 @@ def telling(measured: Sequence["Measurement"]) -> list[int]:
     return sorted({it.step for it in (*gone, last)})
 
 
-def _draw(history: "History", beliefs: Sequence["Scene"], path: Path, form: str) -> None:
+def _draw(history: History, beliefs: Sequence[Scene], path: Path, form: str) -> None:
     from scene.drawing import Drawing
 
     scene = history.at()
-    drawing = Drawing(scene, len(beliefs), scene.measurements[-1].step)
-    drawing.show(scene, beliefs).save(path, form)
+    Drawing(scene, beliefs, scene.measurements[-1].step).show(scene).save(path, form)
 
 
-def _frames(history: "History") -> Iterator["Picture"]:
+def _frames(history: History) -> Iterator[Picture]:
     """Yield a frame for each reading, and show on stderr how many are done."""
     from rich.console import Console
     from rich.progress import track

@@ -2,7 +2,6 @@
 
 import argparse
 import functools
-import json
 import os
 import platform
 import subprocess
@@ -12,6 +11,8 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from ground.desk.scenes import RecordedScene
 from link import cli
@@ -51,12 +52,9 @@ def _file(text: str) -> Path:
 
 def _about(text: str) -> dict[str, Any]:
     try:
-        about = json.loads(text)
-    except ValueError:
-        about = None
-    if not isinstance(about, dict):
-        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a JSON object")
-    return about
+        return msgspec.json.decode(text, type=dict[str, Any])
+    except msgspec.DecodeError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a JSON object") from None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,22 +77,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record until interrupted; a line on stdout says when it has begun."""
+    """Record until interrupted; a line on stdout says when it has begun. Raises BadInput."""
     os.environ.setdefault("ZENOH_RUNTIME", FEW_THREADS)
     if reason := cli.existing("FILE.mcap", _files(args.file), args.force):
-        print(f"error: {reason}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(reason)
     with Tap("recorder", args.connect, args.namespace, args.log_level, secure=args.secure) as bus:
         try:
             writer = begin(args.file, args.force, {**args.about, **surroundings(args.namespace)})
         except OSError as error:
             culprit = "" if error.filename in (None, str(args.file)) else f": {error.filename}"
             cannot = f"FILE.mcap: cannot write {str(args.file)!r}: {error.strerror}{culprit}"
-            print(
-                f"error: {cli.existing('FILE.mcap', _files(args.file), args.force) or cannot}",
-                file=sys.stderr,
-            )
-            return cli.BAD_INPUT
+            reason = cli.existing("FILE.mcap", _files(args.file), args.force)
+            raise cli.BadInput(reason or cannot) from None
         bus.subscribe(*KEYS)
         bus.settle(CONNECT_TIMEOUT_S)
         ends: list[int] = []
@@ -140,9 +134,7 @@ def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> N
     ended = False
     while not ended:
         _await_batch(ends)
-        ended = bool(
-            ends
-        )  # read before the messages, so that those that came before the end are still written
+        ended = bool(ends)  # read first, so that the messages from before the end are still written
         if ended:
             bus.settle(LAST_WORDS_S)
         messages = bus.take()

@@ -7,7 +7,7 @@ from link.bus.frames import frames_in
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, WAYPOINT
 from link.record.record import Entry
 from scene.follow.area import PLACING
-from scene.follow.recorded import begun
+from scene.follow.history import begun
 from scene.follow.telemetry import ATTITUDE, GLOBAL, LOCAL, TEXT
 from scene.foxglove import Encoded, SceneEncoder, pose_slot
 
@@ -53,25 +53,22 @@ class RecordedScene:
             self._happening = happening
             return self._encoder.encode(self._history.at(), stamp_ns)
         if entry.key == WAYPOINT.name:
-            return list(self._encoder.encode_waypoint(self._history.waypoint, stamp_ns))
+            return list(self._encoder.encode_waypoint(self._history.waypoints.at(), stamp_ns))
         return list(self._encoder.encode_pose(self._history.craft, stamp_ns)) if LOCAL in news else []
 
     def _news(self, entry: Entry) -> set[int]:
-        """Return the telemetry of a payload that is to be followed: of each kind of motion, the first
-        message of a slot of time.
+        """Return the kinds of telemetry in a payload that are to be followed.
+
+        Of each kind of motion these are the first messages of each slot of time.
         """
-        news = set()
-        slot = pose_slot(entry.simulation_s)
-        self._history.own.learn(entry.key, entry.payload)
+        news, slot, own = set(), pose_slot(entry.simulation_s), self._history.own
+        own.learn(entry.key, entry.payload)
         for frame in frames_in(entry.payload):
             kind = frame.message_id
-            if kind == TEXT and self._history.own.searched(frame):
-                news.add(kind)
-            if not self._history.own.sent(frame):
-                continue
-            if kind == TEXT or kind in PLACING:
-                news.add(kind)
-            elif kind in (ATTITUDE, LOCAL, GLOBAL) and self._slots.get(kind) != slot:
+            is_own = own.sent(frame)
+            if is_own and kind in (ATTITUDE, LOCAL, GLOBAL) and self._slots.get(kind) != slot:
                 self._slots[kind] = slot
+                news.add(kind)
+            elif (is_own and kind in PLACING) or (kind == TEXT and (is_own or own.searched(frame))):
                 news.add(kind)
         return news

@@ -20,9 +20,18 @@ from link.bus.messages import Health
 from link.bus.opening import NoRouter
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.terminal import Column, table, tell, width_of
-from scene.follow.parts import MISSING, OK, REFUSING, STALE, STALE_S, STARTING, verdict
+from scene.follow.parts import (
+    MISSING,
+    OK,
+    PARTS,
+    REFUSING,
+    STALE,
+    STALE_S,
+    STARTING,
+    in_order,
+    verdict,
+)
 
-PARTS = ("uav", "estimator", "agent")
 WATCH_EVERY_S = 1.0
 SHORTEST_STATE = 20  # characters of a part's state that a narrow terminal shows at least
 COLOURS = {OK: "green", MISSING: "red", STARTING: "yellow", STALE: "red", REFUSING: "yellow"}
@@ -58,22 +67,20 @@ class Board:
 
     def lives(self, name: str, alive: bool, now_s: float) -> None:
         """Take that a part appeared or disappeared."""
-        if (part := self._part(name, now_s)) is None:
-            return
-        if alive and not part.alive:
+        part = self._part(name, now_s)
+        if part and alive and not part.alive:
             self._parts[name] = Part(True, now_s)
-        elif not alive:
+        elif part and not alive:
             part.alive = False
             if name not in self._wanted:
                 del self._parts[name]
 
     def hears(self, health: Health, now_s: float) -> None:
         """Take a part's health message."""
-        if (part := self._part(health.service, now_s)) is None:
-            return
-        if part.health is not None and health.uptime_s != part.health.uptime_s:
-            part.spoke_s = now_s
-        part.health = health
+        if part := self._part(health.service, now_s):
+            if part.health is not None and health.uptime_s != part.health.uptime_s:
+                part.spoke_s = now_s
+            part.health = health
 
     def verdict(self, name: str, now_s: float) -> str:
         """Return the verdict on a part: ok, missing, starting, stale or refusing."""
@@ -89,14 +96,7 @@ class Board:
 
     def report(self, now_s: float) -> dict[str, dict[str, Any]]:
         """Return verdict and last health message of each part by name, required parts first."""
-        order = sorted(
-            self._parts,
-            key=lambda name: (
-                name not in self._wanted,
-                PARTS.index(name) if name in PARTS else len(PARTS),
-                name,
-            ),
-        )
+        order = sorted(self._parts, key=lambda name: (name not in self._wanted, *in_order(name)))
         return {
             name: {
                 "status": self.verdict(name, now_s),
@@ -123,9 +123,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show the status once, or until interrupted; returns 0 if all parts are ok."""
-    live = args.watch and sys.stdout.isatty() and not args.json
-    display = Live(console=Console(highlight=False), auto_refresh=False) if live else nullcontext()
-    with display as shown:
+    live = Live(console=Console(highlight=False), auto_refresh=False)
+    with live if args.watch and sys.stdout.isatty() and not args.json else nullcontext() as shown:
         while True:
             try:
                 with Bus(
@@ -147,8 +146,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _look(bus: Bus, args: argparse.Namespace, shown: Live | None) -> bool:
-    """Listen until all verdicts are known, with --watch until the router is gone; returns whether all is
-    well.
+    """Listen until all verdicts are known, or with --watch for ever; returns whether all is well.
+
+    Raises NoRouter when the router is gone.
     """
     board = Board(args.parts or PARTS, bus.services(), time.monotonic(), only_wanted=bool(args.parts))
     bus.watch_services()
@@ -156,22 +156,18 @@ def _look(bus: Bus, args: argparse.Namespace, shown: Live | None) -> bool:
     show_at = math.inf
     while True:
         now_s = time.monotonic()
-        gone = not bus.connected
-        if gone or now_s >= show_at or (math.isinf(show_at) and board.settled(now_s)):
-            router = f"--connect: {bus.expiry() or f'the router at {args.connect} is gone'}" if gone else ""
-            report = (
-                {name: {"status": MISSING} for name in args.parts or PARTS} if gone else board.report(now_s)
-            )
-            well = _show(args, shown, router, report)
-            if gone or not args.watch:
+        if not bus.connected:
+            raise NoRouter(f"--connect: {bus.expiry() or f'the router at {args.connect} is gone'}")
+        if now_s >= show_at or (math.isinf(show_at) and board.settled(now_s)):
+            well = _show(args, shown, "", board.report(now_s))
+            if not args.watch:
                 return well
             show_at = now_s + WATCH_EVERY_S
-        item = bus.receive(timeout_s=0.1)
-        match item:
+        match bus.receive(timeout_s=0.1):
             case LivelinessChange(service, alive):
                 board.lives(service, alive, time.monotonic())
-            case Arrival():
-                if (health := bus.decode(item, Health)) is not None:
+            case Arrival() as message:
+                if (health := bus.decode(message, Health)) is not None:
                     board.hears(health, time.monotonic())
 
 
@@ -181,11 +177,10 @@ def _show(
     """Show a report; returns whether all is well."""
     well = not no_router and all(part["status"] == OK for part in parts.values())
     if args.json:
-        router = {"endpoint": args.connect, "status": MISSING if no_router else OK}
         fields = {
             "ok": well,
             "namespace": args.namespace,
-            "router": router,
+            "router": {"endpoint": args.connect, "status": MISSING if no_router else OK},
             "ceased": bool(_knowing(parts)),
             "parts": parts,
         }
@@ -213,8 +208,14 @@ def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, 
         left: bool = False,
         least: int | None = None,
     ) -> Column:
-        cells = [text(part) if part else "" for part in told]
-        return Column(heading, cells, rank, heading.partition(",")[0], left=left, least=least)
+        return Column(
+            heading,
+            [text(part) if part else "" for part in told],
+            rank,
+            heading.partition(",")[0],
+            left=left,
+            least=least,
+        )
 
     columns = [
         Column("part", ["router", *parts], left=True),
@@ -226,11 +227,9 @@ def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, 
         column("up, s", lambda part: f"{part['uptime_s']:.0f}", 4),
     ]
     knowing = _knowing(parts)
-    ceased = [f"the search has ceased, say {', '.join(knowing)}"] if knowing else []
-    troubles = [line for name, part in parts.items() for line in _troubles(name, part)]
-    return table(
-        columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], ceased + troubles
-    )
+    below = [f"the search has ceased, say {', '.join(knowing)}"] if knowing else []
+    below += [line for name, part in parts.items() for line in _troubles(name, part)]
+    return table(columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], below)
 
 
 def _knowing(parts: dict[str, dict[str, Any]]) -> list[str]:
@@ -244,8 +243,6 @@ def _state(part: dict[str, Any]) -> str:
 
 def _troubles(name: str, part: dict[str, Any]) -> list[str]:
     """Return a line with the messages that a part refused, and one for each warning and its last error."""
-    if "state" not in part:
-        return []
-    refused = ", ".join(f"{count} {kind}" for kind, count in part["refused"].items())
-    wrong = dict.fromkeys([*part["warnings"], *([part["last_error"]] if part["last_error"] else [])])
-    return [*([f"{name} refused: {refused}"] if refused else []), *(f"{name}: {text}" for text in wrong)]
+    refused = ", ".join(f"{count} {kind}" for kind, count in part.get("refused", {}).items())
+    wrong = dict.fromkeys(filter(None, [*part.get("warnings", ()), part.get("last_error")]))
+    return [f"{name} refused: {refused}"] * bool(refused) + [f"{name}: {text}" for text in wrong]

@@ -4,7 +4,6 @@ import argparse
 import csv
 import json
 import math
-import statistics
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,36 +11,26 @@ from contextlib import suppress
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
+from typing import Any, NamedTuple, TextIO
 
+import msgspec
+
+from ground.desk.survey import KeyTable, Survey
+from ground.tlog.log import NAMES, FlightLog, open_log
 from link import cli
+from link.bus.mavlink import BadFrame
+from link.record.decoded import decode, decode_reading
+from link.record.reader import LogFile, RecordError, is_record
+from link.record.record import FRAME_KEYS, Entry
 from link.terminal import Column, printable, table, tell, width_of
-
-if TYPE_CHECKING:
-    from ground.desk.survey import KeyTable, Survey
-    from ground.tlog.log import FlightLog
-    from link.record.reader import LogFile
-    from link.record.record import Entry
+from plume.outcome import assumed_text, outcome, outcome_text
+from plume.scenario import Scenario
+from plume.worlds import AS_MODELLED
 
 SHORTEST_KEY = 12  # characters of a key that a narrow terminal shows at least
 
 
-class Row(NamedTuple):
-    """One message of a table: publication time, simulation time and fields."""
-
-    published_s: float
-    simulation_s: float
-    fields: dict[str, Any]
-
-    def cells(self) -> dict[str, Any]:
-        """Return its cells by the names of their columns."""
-        return {
-            "published_s": repr(self.published_s),
-            "simulation_s": _cell(self.simulation_s),
-            **dict(_flattened("", self.fields)),
-        }
-
-
+Row = dict[str, Any]  # of a table: its cells by the names of their columns
 Messages = Iterator[tuple[str, Callable[[], Row]]]  # by their keys, with what makes their rows
 
 
@@ -49,7 +38,7 @@ class Summary(NamedTuple):
     """The summary of a log."""
 
     head: list[str]
-    tables: "list[KeyTable]"
+    tables: list[KeyTable]
     tail: list[str]
     fields: dict[str, Any]  # the same as JSON fields
 
@@ -74,18 +63,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the summary or the CSV; returns the exit status: 1 if pieces of the log are missing."""
-    from ground.desk.survey import Survey
-    from ground.tlog.log import FlightError, open_log
-    from link.record.reader import LogFile, RecordError, is_record
+    """Print the summary or the CSV; returns the exit status: 1 if pieces of the log are missing.
 
+    Raises BadInput.
+    """
     missing = ""
     try:
         if is_record(args.log):
             log = LogFile(args.log)
             if args.csv:
-                again = _of_record(LogFile(args.log), args.csv)
-                names, rows = _table(_of_record(log), again, args.csv)
+                names, rows = _table(_of_record(log), _of_record(LogFile(args.log), args.csv), args.csv)
             else:
                 summary = _summary(args.log, log, Survey(log))
             missing = f"{args.log} {log.shortcoming}" if log.damage else ""
@@ -95,57 +82,44 @@ def run(args: argparse.Namespace) -> int:
                 names, rows = _table(_of_flight(flown), _of_flight(flown), args.csv)
             else:
                 summary = _summary_of_flight(args.log, flown)
-    except (RecordError, FlightError, _NoSuchKey) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
-    status = cli.FAILED if missing else 0
+    except RecordError as error:
+        raise cli.BadInput(str(error)) from None
     if args.csv:
         if missing:
             print(f"warning: {missing}", file=sys.stderr)
-        _print_csv(names, rows)
-        return status
-    _print(summary, sys.stderr if args.json else sys.stdout)
+        # Columns are left out that came since they were listed: the log may still be written.
+        writer = csv.DictWriter(sys.stdout, names, restval="", extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    else:
+        _print(summary, sys.stderr if args.json else sys.stdout)
     if args.json:
         print(json.dumps(summary.fields))
-    return status
-
-
-class _NoSuchKey(ValueError):
-    """The log lacks the key asked for; the message is one line."""
+    return cli.FAILED if missing else 0
 
 
 # ---- records of the bus ----
 
 
-def _summary(path: Path, log: "LogFile", survey: "Survey") -> Summary:
+def _summary(path: Path, log: LogFile, survey: Survey) -> Summary:
     tables = survey.tables
-    outcome, lines = _outcome(log.about, survey)
-    if survey.last is None and "belief" in survey.published_s:
-        lines = ["no readable belief: the outcome of the search is unknown"]
+    ending, lines = _outcome(log.about, survey)
     gaps = survey.gaps() + survey.unreadable
-    began = log.about.get("began", "unknown")
-    policy, seed = log.about.get("policy"), log.about.get("seed")
-    mission = f"{policy}, seed {seed}" if policy is not None else "mission unknown"
+    policy = log.about.get("policy")
+    mission = f"{policy}, seed {log.about.get('seed')}" if policy is not None else "mission unknown"
     title, versions = _object(log.about, "mission").get("about"), _object(log.about, "versions")
     commit, _, dirty = str(log.about.get("git") or "").partition("-")
     revision = commit[:12] + (f", {dirty}" if dirty else "")
     stopped = log.about.get("stopped")
     count = sum(len(table.published_s) for table in tables)
-    wall_s, simulation_s = (
-        _span([table.published_s for table in tables]),
-        _span([table.simulation_s for table in tables]),
-    )
-    whole = (
-        "complete"
-        if log.complete
-        else "DAMAGED"
-        if log.damage
-        else f"CUT OFF{f': {stopped}' if stopped else ''}"
-    )
+    wall_s, simulation_s = _span(it.published_s for it in tables), _span(it.simulation_s for it in tables)
+    whole = "DAMAGED" if log.damage else "complete" if log.complete else "CUT OFF"
+    if whole == "CUT OFF" and stopped:
+        whole += f": {stopped}"
     flown_with = f"plumeward {versions.get('plumeward', 'unknown')}{f' ({revision})' if revision else ''}"
     head = [
         str(path),
-        f"{f'{title}, ' if title else ''}{mission}, begun {began}",
+        f"{f'{title}, ' if title else ''}{mission}, begun {log.about.get('began', 'unknown')}",
         f"{count:,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
         flown_with,
         *([f"it {log.shortcoming}"] if log.damage else []),
@@ -162,7 +136,7 @@ def _summary(path: Path, log: "LogFile", survey: "Survey") -> Summary:
         },
         "beliefs": len(survey.trace),
         "gaps": gaps,
-        **outcome,
+        **ending,
     }
     return Summary([printable(line) for line in head], tables, [*(gaps or ["gaps: none"]), *lines], fields)
 
@@ -179,17 +153,13 @@ def _object(about: dict[str, Any], name: str) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _outcome(about: dict[str, Any], survey: "Survey") -> tuple[dict[str, Any], list[str]]:
+def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], list[str]]:
     """Return the outcome as fields and lines; compared with the true source if the log has it."""
-    import msgspec
-
-    from plume.outcome import assumed_text, outcome, outcome_text
-    from plume.scenario import Scenario
-    from plume.worlds import AS_MODELLED
-
     last = survey.last
     if last is None:
-        return {"ceased": None}, ["no belief: there was no search"]
+        unread = "no readable belief: the outcome of the search is unknown"
+        none = "no belief: there was no search"
+        return {"ceased": None}, [unread if "belief" in survey.published_s else none]
     estimate = f"estimate ({last.mean[0]:.2f}, {last.mean[1]:.2f}) ± {last.spread:.2f} m"
     world = _object(about, "mission").get("world")
     world = world if isinstance(world, str) else AS_MODELLED  # records of other versions may lack it
@@ -208,59 +178,41 @@ def _outcome(about: dict[str, Any], survey: "Survey") -> tuple[dict[str, Any], l
         verdict = f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps"
         return plain, [verdict, estimate, assumed_text(last.assume, last.stop, world)]
     trace = [point for _, point in sorted(survey.trace.items())]
-    result = outcome(
-        0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world
-    )  # no seed, policy, search time
-    told = {
-        **plain,
+    # It has no seed, policy and search time.
+    result = outcome(0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world)
+    judged = {
         "located": result.located,
         "error_m": result.error_m,
         "distance_m": result.distance_m,
         "source": result.source,
     }
-    return told, outcome_text(result).splitlines()
+    return plain | judged, outcome_text(result).splitlines()
 
 
-def _of_record(entries: "Iterable[Entry]", only: str = "") -> Messages:
+def _of_record(entries: Iterable[Entry], only: str = "") -> Messages:
     """Yield the messages of a record; `only` leaves out what cannot be of this key."""
     for entry in entries:
         if only.startswith(entry.key) or not only:
             for key, fields in _decoded(entry):
-                yield key, partial(Row, entry.published_ns / 1e9, entry.simulation_s, fields)
+                yield key, partial(_row, entry.published_ns / 1e9, entry.simulation_s, fields)
 
 
-def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
+def _decoded(entry: Entry) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield (export name, fields) of a message; nothing for a message that breaks the bus contract."""
-    from msgspec import structs
-
-    from link.bus.mavlink import BadFrame
-    from link.record.decoded import decode, decode_reading
-    from link.record.record import FRAME_KEYS
-
-    if entry.key in FRAME_KEYS:
-        with suppress(BadFrame):
-            if entry.key == "reading":
-                yield "reading", structs.asdict(decode_reading(entry.payload))
-            else:
-                for message in decode(entry.payload):
-                    yield f"{entry.key}/{message.kind}", json.loads(message.fields)
-        return
-    try:
-        fields = json.loads(entry.payload)
-    except (ValueError, RecursionError):
-        return
-    if isinstance(fields, dict):
-        yield entry.key, fields
+    with suppress(BadFrame, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        if entry.key == "reading":
+            yield "reading", msgspec.structs.asdict(decode_reading(entry.payload))
+        elif entry.key in FRAME_KEYS:
+            for message in decode(entry.payload):
+                yield f"{entry.key}/{message.kind}", json.loads(message.fields)
+        else:
+            yield entry.key, msgspec.json.decode(entry.payload, type=dict[str, Any])
 
 
 # ---- logs of autopilots ----
 
 
-def _summary_of_flight(path: Path, log: "FlightLog") -> Summary:
-    """Return a summary of an autopilot's log by message type."""
-    from ground.desk.survey import KeyTable
-    from ground.tlog.log import NAMES
-
+def _summary_of_flight(path: Path, log: FlightLog) -> Summary:
     seconds: dict[str, list[float]] = defaultdict(list)
     for index, message_id in enumerate(log.records.message_ids.tolist()):
         seconds[NAMES.get(message_id, f"unknown {message_id}")].append(log.seconds(index))
@@ -268,31 +220,26 @@ def _summary_of_flight(path: Path, log: "FlightLog") -> Summary:
     span_s = _span(seconds.values())
     senders = ", ".join(f"{system}/{component}" for system, component in sorted(log.senders()))
     head = [f"{path}: MAVLink of system/component {senders}", f"{len(log):,} messages in {span_s:.1f} s"]
-    counts = {table.name: {"messages": len(table.published_s)} for table in tables}
     fields = {
         "log": str(path),
         "messages": len(log),
         "duration_s": span_s,
-        "keys": counts,
+        "keys": {table.name: {"messages": len(table.published_s)} for table in tables},
         "notes": log.notes,
     }
     return Summary(head, tables, log.notes, fields)
 
 
-def _of_flight(log: "FlightLog") -> Messages:
-    """Yield the messages of an autopilot's log."""
-    from ground.tlog.log import NAMES
-
+def _of_flight(log: FlightLog) -> Messages:
     for index, message_id in enumerate(log.records.message_ids.tolist()):
         if message_id in NAMES:
-            yield NAMES[message_id], partial(_row, log, index)
+            yield NAMES[message_id], partial(_row_of_flight, log, index)
 
 
-def _row(log: "FlightLog", index: int) -> Row:
+def _row_of_flight(log: FlightLog, index: int) -> Row:
     message = log.message(index)
     fields = {name: getattr(message, name) for name in message.get_fieldnames()}
-    fields["system"] = message.get_srcSystem()
-    return Row(float(log.times_us[index]) / 1e6, math.nan, fields)
+    return _row(float(log.times_us[index]) / 1e6, math.nan, {**fields, "system": message.get_srcSystem()})
 
 
 # ---- one table as CSV ----
@@ -301,17 +248,17 @@ def _row(log: "FlightLog", index: int) -> Row:
 def _table(first: Messages, again: Messages, name: str) -> tuple[list[str], Iterator[Row]]:
     """Return the columns and the rows of a key, from two ways through the log: the rows are not kept.
 
-    Raises _NoSuchKey that lists the keys.
+    Raises BadInput that lists the keys.
     """
-    columns: dict[str, None] = {}
-    keys: dict[str, None] = {}
+    columns: dict[str, Any] = {}
+    keys = set()
     for key, row in first:
-        keys[key] = None
+        keys.add(key)
         if key == name:
-            columns.update(dict.fromkeys(row().cells()))
+            columns |= row()
     if name not in keys:
         known = ", ".join(sorted(keys)) or "nothing: the log is empty"
-        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {known}")
+        raise cli.BadInput(f"--csv: {name!r} is not allowed; wanted one of {known}")
     return list(columns), (row() for key, row in again if key == name)
 
 
@@ -337,17 +284,14 @@ def _print(summary: Summary, stream: TextIO) -> None:
 
 def _rate(times: Sequence[float]) -> str:
     """Messages per second: one over the mean time between two."""
-    steps = [after - before for before, after in pairwise(sorted(times))]
-    mean_s = statistics.fmean(steps) if steps else 0.0
-    return f"{1 / mean_s:,.2f}" if mean_s > 0 else ""
+    span_s = _span([times])
+    return f"{(len(times) - 1) / span_s:,.2f}" if span_s > 0 else ""
 
 
-def _print_csv(names: Sequence[str], rows: Iterable[Row]) -> None:
-    writer = csv.DictWriter(
-        sys.stdout, names, restval="", extrasaction="ignore", lineterminator="\n"
-    )  # the log may still be written
-    writer.writeheader()
-    writer.writerows(row.cells() for row in rows)
+def _row(published_s: float, simulation_s: float, fields: dict[str, Any]) -> Row:
+    """Return the row of a message: its times, and the values within its fields."""
+    times = {"published_s": repr(published_s), "simulation_s": _cell(simulation_s)}
+    return times | dict(_flattened("", fields))
 
 
 def _flattened(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -1,6 +1,4 @@
-"""What a record holds, taken message by message: times, counts and the search, however large the record
-is.
-"""
+"""What a record holds, taken message by message: times, counts and the search, however large it is."""
 
 import math
 from array import array
@@ -12,6 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from ground.tlog.log import LISTED, few
 from link.bus.mavlink import WRAP_MS
 from link.bus.messages import Belief, Stop
 from link.record.record import Entry, began_s
@@ -19,7 +18,6 @@ from link.terminal import printable
 from plume.outcome import TracePoint
 
 PAUSE_S = 2.0  # A longer silence of the whole bus is reported, s: telemetry comes every second
-LISTED = 5  # number of items of a kind that are listed; the rest is counted
 LONGEST = 120  # longest description of an unreadable message, characters
 MOST_REASONS = 1000  # different descriptions of unreadable messages that are kept
 
@@ -43,7 +41,6 @@ class Survey:
     """What a record holds. No payload stays in memory."""
 
     def __init__(self, entries: Iterable[Entry]) -> None:
-        """Take all messages."""
         self.published_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self.simulation_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
         # The times of all readings, ms; `answered` has those of beliefs, as time_boot_ms, which wraps.
@@ -80,29 +77,25 @@ class Survey:
     def unreadable(self) -> list[str]:
         """Return one line for each kind of messages that are no JSON, or of another version."""
         return [
-            f"{count} {name}{'s' * (count > 1)} could not be read: {_few(list(self._reasons[name]))}"
+            f"{count} {name}{'s' * (count > 1)} could not be read: {few(list(self._reasons[name]))}"
             for name, count in self._unreadable.items()
         ]
 
     def gaps(self) -> list[str]:
-        """Return a line for each kind of gap: unanswered readings, missing steps, pauses, restarted
-        services.
-        """
+        """Return a line for each kind of gap: readings, steps, pauses, and restarts of services."""
         lines = []
         if unanswered := sorted(time_ms for time_ms in self.asked if time_ms % WRAP_MS not in self.answered):
             times = [f"{time_ms / 1000:.2f} s" for time_ms in unanswered[:LISTED]]
             lines.append(
-                f"{len(unanswered)} readings without a belief, at {_few(times, len(unanswered))} of "
-                "simulation"
+                f"{len(unanswered)} readings without a belief, at {few(times, len(unanswered))} of simulation"
             )
         steps = sorted(self.trace)
-        if (
-            missing := max(steps, default=-1) + 1 - len(steps)
-        ):  # counted, not listed: a foreign message may have any step
+        # Missing ones are counted, not listed: a foreign message may have any step.
+        if missing := max(steps, default=-1) + 1 - len(steps):
             absent = (
                 str(step) for before, after in pairwise([-1, *steps]) for step in range(before + 1, after)
             )
-            lines.append(f"{missing} beliefs missing, of step {_few(list(islice(absent, LISTED)), missing)}")
+            lines.append(f"{missing} beliefs missing, of step {few(list(islice(absent, LISTED)), missing)}")
         published_s = sorted(time for times in self.published_s.values() for time in times)
         pauses = [
             f"{after - before:.1f} s at {before - published_s[0]:.1f} s"
@@ -110,7 +103,7 @@ class Survey:
             if after - before > PAUSE_S
         ]
         if pauses:
-            lines.append(f"{len(pauses)} pauses of the whole bus: {_few(pauses)}")
+            lines.append(f"{len(pauses)} pauses of the whole bus: {few(pauses)}")
         return lines + [
             f"{service} was restarted {count} time{'s' * (count > 1)}"
             for service, count in sorted(self.restarts.items())
@@ -154,11 +147,3 @@ def _line(text: str) -> str:
     """Return an error text that may quote a message, made safe for a terminal."""
     plain = printable(text)
     return plain if len(plain) <= LONGEST else f"{plain[:LONGEST]} ..."
-
-
-def _few(texts: Sequence[str], count: int = 0) -> str:
-    """Return the first few texts as a list and the number of the others; `count` is their total if not all
-    are given.
-    """
-    more = max(len(texts), count) - LISTED
-    return ", ".join(texts[:LISTED]) + (f" and {more:,} more" if more > 0 else "")

@@ -1,5 +1,4 @@
-"""Replay: a log takes the place of the vehicle, and the services' answers are compared with the recorded
-ones.
+"""Replay: a log takes the vehicle's place, and the services' answers are compared with the recorded ones.
 
 Imports: plume, link, link.bus, link.record, sitl.script, sitl.launch, ground.tlog.
 """

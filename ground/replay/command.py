@@ -7,48 +7,21 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
+import msgspec
+
+from ground.replay.player import Player, replay
+from ground.replay.source import Source, find
+from ground.replay.verify import Rules
 from link import cli
 from link.terminal import tell
 from plume import sensor
+from plume.outcome import assumed_text
 from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
-
-if TYPE_CHECKING:
-    from ground.replay.player import Replayed
-    from ground.replay.source import Source
-    from ground.replay.verify import Rules
-
-
-# Flags for reading an autopilot's log.
-READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume")
-# Flags passed on to the estimator.
-FILTER_FLAGS = (
-    "particles",
-    "assume",
-    "threshold",
-    "stop",
-    "prior",
-    "stop_on",
-    "rate",
-    "diffusivity",
-    "lifetime",
-    "sensor",
-    "seed",
-)
-
-
-class _Unset:
-    """The default of a flag that is passed on: shown in the help, and distinct from any value given."""
-
-    def __init__(self, text: str) -> None:
-        self._text = text
-
-    def __str__(self) -> str:
-        return self._text
+from sitl.launch.processes import MissionFailed
 
 
 def _pair(names: str) -> Callable[[str], tuple[float, float]]:
@@ -178,24 +151,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plume", metavar="MISSION", help="tlog: simulate the gas along the path with this mission's plume"
     )
     cli.add_filter_arguments(parser)
-    for name in ("particles", "assume", "threshold", "stop_on"):
-        parser.set_defaults(**{name: _Unset(parser.get_default(name))})
-    rate, diffusivity, lifetime = (cli.number(*LIMITS[name]) for name in ("q", "d", "tau"))
-    parser.add_argument(
-        "--rate", type=rate, metavar="Q", help="release rate q (default: the plume's, or 300 g/s)"
-    )
-    parser.add_argument(
-        "--diffusivity",
-        type=diffusivity,
-        metavar="D",
-        help="diffusivity d (default: the plume's, or 4.5 m²/s)",
-    )
-    parser.add_argument(
-        "--lifetime",
-        type=lifetime,
-        metavar="TAU",
-        help="lifetime τ of the gas (default: the plume's, or 10 s)",
-    )
+    for flag, name, metavar, what in (
+        ("--rate", "q", "Q", "release rate q (default: the plume's, or 300 g/s)"),
+        ("--diffusivity", "d", "D", "diffusivity d (default: the plume's, or 4.5 m²/s)"),
+        ("--lifetime", "tau", "TAU", "lifetime τ of the gas (default: the plume's, or 10 s)"),
+    ):
+        parser.add_argument(flag, type=cli.number(*LIMITS[name]), metavar=metavar, help=what)
     parser.add_argument(
         "--sensor",
         type=cli.checked(sensor.parse),
@@ -211,29 +172,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _given(args: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
-    """Return the flags of `names` that were given."""
-    values = {name: getattr(args, name) for name in names}
-    return {
-        name: value
-        for name, value in values.items()
-        if value not in (None, []) and not isinstance(value, _Unset)
-    }
-
-
 def run(args: argparse.Namespace) -> int:
-    """Replay once, or until interrupted; returns the exit status: 1 if something differs, or if pieces of
-    the log are missing.
-    """
-    from ground.replay.player import replay
-    from ground.replay.source import BadSource, find
-    from sitl.launch.processes import MissionFailed
+    """Replay once, or until interrupted; raises BadInput.
 
-    try:
-        source, rules = find(args, _given(args, READING_FLAGS), _given(args, FILTER_FLAGS))
-    except BadSource as error:
-        print(f"error: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+    Returns the exit status: 1 if something differs, or if pieces of the log are missing.
+    """
+    source, rules = find(args)
     for note in source.notes:
         tell(f"replay: {note}")
     try:
@@ -257,10 +201,8 @@ def run(args: argparse.Namespace) -> int:
     return cli.FAILED if result.difference or source.damaged else 0
 
 
-def _text(result: "Replayed", source: "Source", rules: "Rules | None", took_s: float) -> str:
+def _text(result: Player, source: Source, rules: Rules | None, took_s: float) -> str:
     """Return, for people, what the services said and whether it equals the recording."""
-    from plume.outcome import assumed_text
-
     last = result.last
     outcome = "no belief received"
     if last is not None:
@@ -287,20 +229,19 @@ def _text(result: "Replayed", source: "Source", rules: "Rules | None", took_s: f
     return f"{replayed}\nverified: {', '.join(counted)}" + f" ({', '.join(relaxed)})" * bool(relaxed)
 
 
-def _json(result: "Replayed", source: "Source", rules: "Rules | None") -> str:
-    import msgspec
-
+def _json(result: Player, source: Source, rules: Rules | None) -> str:
     last = result.last
-    fields = {
-        "verified": None if rules is None else result.difference is None,
-        **{f"{kind}s": n for kind, n in result.counts.items()},
-        "difference": result.difference.as_json() if result.difference else None,
-        "ceased": result.ceased_at is not None,
-        "estimate": last.mean if last else None,
-        "spread_m": last.spread if last else None,
-        "assume": last.assume if last else None,
-        "stop": last.stop if last else None,
-        "world": source.world,
-        "error_m": math.dist(last.mean, source.truth) if last and source.truth else None,
-    }
-    return msgspec.json.encode(fields).decode()
+    return msgspec.json.encode(
+        {
+            "verified": None if rules is None else result.difference is None,
+            **{f"{kind}s": n for kind, n in result.counts.items()},
+            "difference": result.difference.as_json() if result.difference else None,
+            "ceased": result.ceased_at is not None,
+            "estimate": last.mean if last else None,
+            "spread_m": last.spread if last else None,
+            "assume": last.assume if last else None,
+            "stop": last.stop if last else None,
+            "world": source.world,
+            "error_m": math.dist(last.mean, source.truth) if last and source.truth else None,
+        }
+    ).decode()

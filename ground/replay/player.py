@@ -1,5 +1,6 @@
-"""The player of a replay: publishes the vehicle's recorded messages, and waits for the services' answers
-in between.
+"""The player of a replay: publishes the vehicle's recorded messages.
+
+In between it waits for the services' answers.
 """
 
 import contextlib
@@ -7,7 +8,7 @@ import math
 import time
 from collections import deque
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ground.replay import verify
 from ground.replay.source import SERVICES, VEHICLE_KEYS, Source, reading_time
@@ -25,21 +26,12 @@ ANSWER_TIMEOUT_S = 10.0  # longest wait for an answer, s of real time, or three 
 SETTLE_S = 0.3  # wait for unexpected answers at the end, s of real time, or twice the longest answer time
 
 
-class Replayed(NamedTuple):
-    """The result of one replay."""
-
-    counts: dict[str, int]  # number of different messages received, by kind
-    last: Belief | None
-    ceased_at: int | None  # the step at which the search ceased
-    difference: Difference | None
-
-
 def replay(
     source: Source, rules: Rules | None, speedup: float, connect: str | None, secure: Path | None = None
-) -> Replayed:
-    """Replay once.
+) -> "Player":
+    """Replay once; returns the player, which has the result. Raises MissionFailed.
 
-    Every process started for it has ended when this returns or raises. Raises MissionFailed.
+    Every process started for it has ended when this returns or raises.
     """
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
@@ -54,7 +46,7 @@ def replay(
         player = Player(bus, source, progress, rules, own=connect is None)
         player.wait_for_services()
         player.play(speedup)
-        return player.result()
+        return player
 
 
 def _start(processes: Processes, source: Source, secure: Path | None) -> str:
@@ -77,10 +69,8 @@ class Player:
         self._progress = progress
         self._rules = rules
         self._own = own
-        ignored = rules.ignored if rules else frozenset()
-        available = {
-            kind for kind, service in SERVICES.items() if not own or service in source.parts
-        } - ignored
+        available = {kind for kind, service in SERVICES.items() if not own or service in source.parts}
+        available -= rules.ignored if rules else frozenset()
         self._awaited = deque(key for key in source.then if key[1] in available)
         self._services = {SERVICES[kind] for _, kind in self._awaited} if source.recorded else {"estimator"}
         self._present: set[str] = set()
@@ -89,24 +79,26 @@ class Player:
         self._patience_s = max(ANSWER_TIMEOUT_S, 3 * source.slowest_s)
         self._slowest_s = 0.0
         self._heard: set[tuple[int, str]] = set()
-        self._reading: Entry | None = None
+        self._reading = b""  # the newest one's payload
         self._first_ms, self._latest_ms, self._shown_ms = -1, -1, -1
         self._published_at = 0.0
         self._resending = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
-        self._last: Belief | None = None
-        self._ceased_at: int | None = None
         self._flown_m = 0.0
-        self._difference: Difference | None = None
+        self.last: Belief | None = None
+        self.ceased_at: int | None = None  # the step at which the search ceased
+        self.difference: Difference | None = None  # the first from the recording
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of different messages received, by kind."""
+        return {kind: sum(heard == kind for _, heard in self._heard) for kind in SERVICES}
 
     def wait_for_services(self) -> None:
         """Wait, like the vehicle, until the services that answered in the recording are present."""
-        told = False
         while missing := sorted(self._services - self._present):
-            item = self._bus.receive(timeout_s=1.0)
-            if item is None and not told and not self._own:
-                self._progress.say(f"waiting for {' and '.join(missing)} on {self._source.namespace}")
-                told = True
-            self._take(item)
+            if not self._own:
+                self._progress.wait(f"waiting for {' and '.join(missing)} on {self._source.namespace}")
+            self._take(self._bus.receive(timeout_s=1.0))
 
     def play(self, speedup: float) -> None:
         """Publish all messages at their pace, up to the first difference."""
@@ -120,25 +112,20 @@ class Player:
                 and time_ms > self._latest_ms
             ):
                 began += self._wait_for_answers()
-                if not self._difference:
+                if not self.difference:
                     self._begin(entry, time_ms)
-            if self._difference:
+            if self.difference:
                 return
             self._bus.publish(VEHICLE_KEYS[entry.key], entry.payload, entry.attachment or None)
         self._wait_for_answers()
         if self._rules and any(self._must_be_silent((self._latest_ms, kind)) for kind in SERVICES):
             self._listen(time.monotonic() + max(SETTLE_S, 2 * self._slowest_s))
 
-    def result(self) -> Replayed:
-        """Return the result."""
-        counts = {kind: sum(heard == kind for _, heard in self._heard) for kind in SERVICES}
-        return Replayed(counts, self._last, self._ceased_at, self._difference)
-
     # ---- waiting ----
 
     def _begin(self, reading: Entry, time_ms: int) -> None:
         """Expect the answers to a new reading."""
-        self._reading, self._latest_ms = reading, time_ms
+        self._reading, self._latest_ms = reading.payload, time_ms
         if self._first_ms < 0:
             self._first_ms = time_ms
         if self._source.recorded:
@@ -159,35 +146,34 @@ class Player:
         """
         began = time.monotonic()
         self._listen(began + self._patience_s, for_answers=True)
-        if self._due and not self._difference:
+        if self._due and not self.difference:
             self._miss(min(self._due, key=verify.place))
         return time.monotonic() - began
 
     def _miss(self, key: tuple[int, str]) -> None:
         time_ms, kind = key
         service = SERVICES[kind]
-        gone = "" if service in self._present else f": the {service} is gone"
-        again = (
-            " (it refuses readings that it has seen before: restart it)"
-            if not (self._own or self._heard or gone)
-            else ""
-        )
+        why = ""
+        if service not in self._present:
+            why = f": the {service} is gone"
+        elif not (self._own or self._heard):
+            why = " (it refuses readings that it has seen before: restart it)"
         self._progress.say(
             f"warning: no {kind} received for the reading at {time_ms / 1000:.2f} s within "
-            f"{self._patience_s:g} s{gone}{again}"
+            f"{self._patience_s:g} s{why}"
         )
         self._compare(key, None)
         self._given_up |= {kind for _, kind in self._due}  # not waited for again until one arrives
         self._due.clear()
 
     def _listen(self, until: float, for_answers: bool = False) -> None:
-        """Receive until a time, or until nothing is due; meanwhile repeat an unanswered reading, as the
-        vehicle does.
+        """Receive until a time, or until nothing is due.
+
+        Meanwhile repeat an unanswered reading, as the vehicle does.
         """
-        while not self._difference and (self._due or not for_answers) and (now := time.monotonic()) < until:
+        while not self.difference and (self._due or not for_answers) and (now := time.monotonic()) < until:
             if self._due and self._resending.due(now):
-                assert self._reading is not None
-                self._bus.publish(READING, self._reading.payload)
+                self._bus.publish(READING, self._reading)
             self._take(self._bus.receive(min(until, self._resending.due_s if self._due else math.inf) - now))
 
     # ---- what arrives ----
@@ -232,12 +218,9 @@ class Player:
     def _compare(self, key: tuple[int, str], now: Answer | None) -> None:
         """Compare an answer with the recorded one; `now` is None if none came in time."""
         then = self._source.then
-        if self._rules is None or self._difference or not (key in then or self._must_be_silent(key)):
-            return
-        belief = then.get((key[0], "belief"))
-        self._difference = verify.difference(
-            then.get(key), now, self._rules, belief.fields.get("step") if belief else None
-        )
+        if self._rules and not self.difference and (key in then or self._must_be_silent(key)):
+            step = verify.step_of(then.get((key[0], "belief")))
+            self.difference = verify.difference(then.get(key), now, self._rules, step)
 
     def _must_be_silent(self, key: tuple[int, str]) -> bool:
         """Whether the log proves that there was no such answer."""
@@ -249,11 +232,10 @@ class Player:
         )
 
     def _show(self, belief: Belief | None) -> None:
-        if belief is None:
-            return
-        if self._last:
-            self._flown_m += math.dist(self._last.position, belief.position)
-        if belief.ceased and self._ceased_at is None:
-            self._ceased_at = belief.step
-        self._last = belief
-        self._progress.show(belief, self._flown_m)
+        if belief is not None:
+            if self.last:
+                self._flown_m += math.dist(self.last.position, belief.position)
+            if belief.ceased and self.ceased_at is None:
+                self.ceased_at = belief.step
+            self.last = belief
+            self._progress.show(belief, self._flown_m)

@@ -1,5 +1,6 @@
-"""The settings that a record may give the services of its replay: it may come from a stranger, so that
-nothing else of it is run.
+"""The settings that a record may give the services of its replay.
+
+It may come from a stranger: nothing else of it is run.
 """
 
 from collections.abc import Iterator, Mapping
@@ -50,7 +51,7 @@ class Agent(_Settings, frozen=True):
     waypoints: list[Waypoints] = []
 
 
-KINDS: dict[str, type[_Settings]] = {"estimator": Estimator, "agent": Agent}
+SETTINGS: dict[str, type[_Settings]] = {"estimator": Estimator, "agent": Agent}
 REPEATED = ("prior", "waypoints")
 LONGEST = 80  # characters of a word that are quoted
 
@@ -67,12 +68,12 @@ def words(service: str, recorded: list[str]) -> list[str]:
             raise ValueError(_quoted(flag))
         given[name] = [*given.get(name, []), value] if name in REPEATED else value
         try:
-            msgspec.convert({name: given[name]}, KINDS[service], strict=False)
+            msgspec.convert({name: given[name]}, SETTINGS[service], strict=False)
         except msgspec.ValidationError:
             raise ValueError(_quoted(f"{flag} {value}")) from None
     if service == "estimator":
         given.setdefault("assume", "paper")  # older estimators took all but the position to be known
-    return as_words(msgspec.to_builtins(msgspec.convert(given, KINDS[service], strict=False)))
+    return as_words(msgspec.to_builtins(msgspec.convert(given, SETTINGS[service], strict=False)))
 
 
 def flew_a_bundle(recorded: list[str]) -> bool:
@@ -93,15 +94,16 @@ def with_bundle(recorded: list[str], bundle: str) -> list[str]:
 
 
 def as_words(settings: Mapping[str, Any]) -> list[str]:
-    """Return a command line of settings: their names are those of the flags, and each item of a list is a
-    flag of its own.
+    """Return a command line of settings, by the names of their flags.
+
+    Each item of a list is a flag of its own.
     """
-    each = [
-        (name, item)
+    return [
+        word
         for name, value in settings.items()
         for item in (value if isinstance(value, list) else [value])
+        for word in (f"--{name.replace('_', '-')}", str(item))
     ]
-    return [word for name, item in each for word in (f"--{name.replace('_', '-')}", str(item))]
 
 
 def _pairs(recorded: list[str]) -> Iterator[tuple[str, str]]:

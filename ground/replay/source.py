@@ -12,7 +12,6 @@ import msgspec
 from ground.replay import settings, verify
 from ground.replay.verify import Answer, Rules
 from ground.tlog import flight
-from ground.tlog.log import FlightError
 from link.bus.keys import HEALTH, MAVLINK_OUT, READING
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.cli import BadInput
@@ -30,13 +29,24 @@ VEHICLE_KEYS = {
 }
 # The service that sends each kind of answer.
 SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
+# Flags for reading an autopilot's log, and flags for its estimator.
+READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume")
+FILTER_FLAGS = (
+    "particles",
+    "assume",
+    "threshold",
+    "stop",
+    "prior",
+    "stop_on",
+    "rate",
+    "diffusivity",
+    "lifetime",
+    "sensor",
+    "seed",
+)
 
-OURS = "uav/1"  # the namespace of the first vehicle
+FIRST_VEHICLE = "uav/1"  # the namespace of the first vehicle
 OVERTAKE_NS = 500_000_000  # largest time by which messages overtake each other on their way into a log, ns
-
-
-class BadSource(ValueError):
-    """The log cannot be replayed as asked for; the message is one line."""
 
 
 class Source(NamedTuple):
@@ -75,23 +85,21 @@ class _About(msgspec.Struct, frozen=True):
     """The fields used of a recording's own description."""
 
     parts: dict[str, list[str]] = {}
-    namespace: Annotated[str, msgspec.Meta(pattern=r"\A[\w.-]+(/[\w.-]+)*\Z", max_length=200)] = OURS
+    namespace: Annotated[str, msgspec.Meta(pattern=r"\A[\w.-]+(/[\w.-]+)*\Z", max_length=200)] = FIRST_VEHICLE
     budget: int | None = None
     scenario: _Release = _Release()
     mission: _Mission = _Mission()
 
 
 def recording(path: Path, bundle: str | None = None) -> Source:
-    """Read a recording of the bus; raises BadSource. `bundle`: the file of its policy."""
+    """Read a recording of the bus; raises BadInput and RecordError. `bundle`: the file of its policy."""
+    log = read(path)
     try:
-        log = read(path)
         told = msgspec.convert(log.about, _About)
-    except RecordError as error:
-        raise BadSource(str(error)) from None
     except msgspec.ValidationError as error:
-        raise BadSource(f"{path}: its description cannot be used: {error}") from None
+        raise BadInput(f"{path}: its description cannot be used: {error}") from None
     if bundle and not settings.flew_a_bundle(told.parts.get("agent", [])):
-        raise BadSource(f"--policy: {bundle!r} is not allowed with {path}: its agent flew no bundle")
+        raise BadInput(f"--policy: {bundle!r} is not allowed with {path}: its agent flew no bundle")
     parts, unfit = {}, {}
     for service, words in told.parts.items():
         if service in SERVICES.values():
@@ -108,7 +116,7 @@ def recording(path: Path, bundle: str | None = None) -> Source:
                     else ""
                 )
                 unfit[service] = f"{path} starts its {service} with {error}, which a record may not do{hint}"
-    notes: tuple[str, ...] = ()
+    note = ""
     sure_ms = sure_ns = math.inf
     sound = log.entries[: log.damage[0].before] if log.damage else log.entries
     then = verify.said(sound)
@@ -118,9 +126,9 @@ def recording(path: Path, bundle: str | None = None) -> Source:
             asked.setdefault(time_ms, entry.published_ns)
     if not log.complete:
         end_s = max((entry.simulation_s for entry in sound), default=0.0)
-        notes = (f"{path} is cut off: replayed up to its end at {end_s:.2f} s",)
+        note = f"{path} is cut off: replayed up to its end at {end_s:.2f} s"
         if log.damage:
-            notes = (f"warning: {path} {log.shortcoming}; --verify compares up to {end_s:.2f} s",)
+            note = f"warning: {path} {log.shortcoming}; --verify compares up to {end_s:.2f} s"
         sure_ns = max((entry.published_ns for entry in sound), default=0)
         sure_ms = max((time for time, ns in asked.items() if ns <= sure_ns - OVERTAKE_NS), default=-1)
     return Source(
@@ -145,28 +153,26 @@ def recording(path: Path, bundle: str | None = None) -> Source:
         budget=math.inf if told.budget is None else told.budget,
         truth=told.scenario.source,
         world=told.mission.world,
-        notes=notes,
+        notes=(note,) if note else (),
     )
 
 
 def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
-    """Read an autopilot's log as the flags `chosen` say, for an estimator with the flags `filtering`;
-    raises BadSource.
+    """Read an autopilot's log as the flags `chosen` say; raises BadInput.
+
+    It is for an estimator with the flags `filtering`.
     """
-    try:
-        world = script.load(chosen["plume"]).simulated() if "plume" in chosen else None
-        flown = flight.read(
-            path,
-            system=chosen.get("sysid"),
-            gas=chosen.get("gas", "gas"),
-            wind=chosen.get("wind"),
-            every_s=chosen.get("every"),
-            origin=chosen.get("origin"),
-            area_m=chosen.get("area"),
-            plume=world,
-        )
-    except (FlightError, BadInput) as error:
-        raise BadSource(str(error)) from None
+    world = script.load(chosen["plume"]).simulated() if "plume" in chosen else None
+    flown = flight.read(
+        path,
+        system=chosen.get("sysid"),
+        gas=chosen.get("gas", "gas"),
+        wind=chosen.get("wind"),
+        every_s=chosen.get("every"),
+        origin=chosen.get("origin"),
+        area_m=chosen.get("area"),
+        plume=world,
+    )
     known: dict[str, Any] = {}
     if world:
         told = world.scenario
@@ -177,7 +183,6 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
             "sensor": sensor.text(world.sensor),
         }
     estimator = settings.as_words({**known, **filtering, "sysid": flown.system, "area": flown.area_m})
-    truth = world.truth.source if world else None
     return Source(
         path,
         flown.entries,
@@ -185,31 +190,27 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         {"estimator": estimator},
         f"uav/{flown.system}",
         False,
-        truth=truth,
+        truth=world.truth.source if world else None,
         world=world.name if world else AS_MODELLED,
         notes=tuple(flown.notes),
     )
 
 
-def find(
-    args: argparse.Namespace, chosen: Mapping[str, Any], filtering: Mapping[str, Any]
-) -> tuple[Source, Rules | None]:
-    """Return the source that a command line asks for, and the rules of --verify; raises BadSource.
-
-    `chosen` and `filtering` are the flags given for reading an autopilot's log and for its estimator.
-    """
+def find(args: argparse.Namespace) -> tuple[Source, Rules | None]:
+    """Return the source that a command line asks for, and the rules of --verify; raises BadInput."""
+    chosen = {name: args.given[name] for name in READING_FLAGS if name in args.given}
+    filtering = {name: args.given[name] for name in FILTER_FLAGS if name in args.given}
     try:
         recorded = is_record(args.log)
+        _refuse(args, recorded, chosen, filtering)
+        source = recording(args.log, args.policy) if recorded else autopilot_log(args.log, chosen, filtering)
     except RecordError as error:
-        raise BadSource(str(error)) from None
-    _refuse(args, recorded, chosen, filtering)
-    source = recording(args.log, args.policy) if recorded else autopilot_log(args.log, chosen, filtering)
+        raise BadInput(str(error)) from None
     if not source.entries:
-        raise BadSource(f"{args.log}: it has no messages of a vehicle")
-    namespace = args.namespace or (
-        OURS if args.connect else source.namespace
-    )  # a record does not choose among the vehicles of a user's bus
-    source = source._replace(namespace=namespace, entries=_cut(source.entries, args))
+        raise BadInput(f"{args.log}: it has no messages of a vehicle")
+    # A record does not choose among the vehicles of a user's bus.
+    usual = FIRST_VEHICLE if args.connect else source.namespace
+    source = source._replace(namespace=args.namespace or usual, entries=_cut(source.entries, args))
     if args.verify:  # what follows a gap depends on what is missing
         source = source._replace(
             entries=[entry for entry in source.entries if entry.published_ns <= source.sure_ns]
@@ -229,7 +230,7 @@ def reading_time(entry: Entry) -> int | None:
 def _refuse(
     args: argparse.Namespace, recorded: bool, chosen: Mapping[str, Any], filtering: Mapping[str, Any]
 ) -> None:
-    """Raise BadSource on a flag that would have no effect here."""
+    """Raise BadInput on a flag that would have no effect here."""
     flags = {name: f"--{name.replace('_', '-')}" for name in (*chosen, *filtering)}
     rules = [
         *(
@@ -269,7 +270,7 @@ def _refuse(
     ]
     for broken, text in rules:
         if broken:
-            raise BadSource(text)
+            raise BadInput(text)
 
 
 def _cut(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
@@ -277,7 +278,7 @@ def _cut(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
     within = [entry for entry in entries if args.from_s <= entry.simulation_s - first_s <= args.to_s]
     if not within:
         long_s = max(entry.simulation_s for entry in entries) - first_s
-        raise BadSource(
+        raise BadInput(
             f"--from: no message of {args.log} is between {args.from_s:g} and {args.to_s:g} s; it is "
             f"{long_s:.1f} s long"
         )
@@ -285,13 +286,10 @@ def _cut(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
 
 
 def _rules(args: argparse.Namespace, source: Source) -> Rules:
-    try:
-        rules = Rules(verify.ignored(args.ignore, source.then.values()), args.tolerance)
-    except ValueError as error:
-        raise BadSource(str(error)) from None
+    rules = Rules(verify.ignored(args.ignore, source.then.values()), args.tolerance)
     published = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
     if not any(time in published and kind not in rules.ignored for time, kind in source.then):
-        raise BadSource(
+        raise BadInput(
             f"--verify: no belief, stop or waypoint in {args.log} answers a replayed reading: nothing to "
             "compare"
         )
@@ -299,8 +297,9 @@ def _rules(args: argparse.Namespace, source: Source) -> Rules:
 
 
 def _with_services(source: Source, rules: Rules | None) -> Source:
-    """Add a note for each recorded service that cannot be started; raises BadSource if its answers are to
-    be compared.
+    """Add a note for each recorded service that cannot be started.
+
+    Raises BadInput if its answers are to be compared.
     """
     notes = list(source.notes)
     for service in sorted(
@@ -309,7 +308,7 @@ def _with_services(source: Source, rules: Rules | None) -> Source:
         text = source.unfit.get(service, f"{source.path} does not say how its {service} was started")
         kinds = [kind for kind in SERVICES if SERVICES[kind] == service]
         if rules and not rules.ignored.issuperset(kinds):
-            raise BadSource(
+            raise BadInput(
                 f"{text}; start one and give --connect, or give "
                 f"{' '.join(f'--ignore {kind}' for kind in kinds)}"
             )

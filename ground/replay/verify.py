@@ -14,18 +14,19 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.keys import BELIEF, STOP, WAYPOINT
 from link.bus.mavlink import BadFrame, nearest, unpack
 from link.bus.messages import Belief, Stop
+from link.cli import BadInput
 from link.record.record import Entry
 
 # Kinds of answers to a reading and their keys, in the order of publication.
-KINDS = {"stop": STOP.name, "belief": BELIEF.name, "waypoint": WAYPOINT.name}
+ANSWERS = {"stop": STOP.name, "belief": BELIEF.name, "waypoint": WAYPOINT.name}
 PARTICLES = "particles"
-SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message
+SETPOINT_MESSAGE = mavlink.MAVLink_set_position_target_local_ned_message
 FIELDS: Mapping[str, tuple[str, ...]] = {
     "stop": Stop.__struct_fields__,
     "belief": (*Belief.__struct_fields__, PARTICLES),
-    "waypoint": tuple(SETPOINT.fieldnames),
+    "waypoint": tuple(SETPOINT_MESSAGE.fieldnames),
 }
-LATER = ("assume", "stop", "evidence")  # fields that older records lack; then they are not compared
+NEWER_FIELDS = ("assume", "stop", "evidence")  # fields that older records lack; then they are not compared
 # Fields shown of a message that only one side has.
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}
 
@@ -39,9 +40,7 @@ class Answer(NamedTuple):
     published_ns: int = 0  # of a log's
 
     def near(self, time_ms: float) -> "Answer":
-        """Return it with its time near to another of the vehicle's, ms: so its time goes on where
-        time_boot_ms wraps.
-        """
+        """Return it with its time near to another, ms: it goes on where time_boot_ms wraps."""
         return self._replace(time_ms=nearest(round(time_ms), self.time_ms))
 
 
@@ -55,24 +54,19 @@ class Difference(NamedTuple):
     was: Any
     now: Any
 
-    @property
-    def time_s(self) -> float:
-        """Simulation time of the reading."""
-        return self.time_ms / 1000
-
     def text(self) -> str:
         """One line for people."""
         step = "" if self.step is None else f" (step {self.step})"
         return (
-            f"{self.kind} at {self.time_s:.2f} s{step}: {self.field or 'it'} was {_text(self.was)}, is "
-            f"{_text(self.now)}"
+            f"{self.kind} at {self.time_ms / 1000:.2f} s{step}: {self.field or 'it'} "
+            f"was {_text(self.was)}, is {_text(self.now)}"
         )
 
     def as_json(self) -> dict[str, Any]:
         """The fields that `--json` prints."""
         return {
-            "key": KINDS[self.kind],
-            "time_s": self.time_s,
+            "key": ANSWERS[self.kind],
+            "time_s": self.time_ms / 1000,
             "step": self.step,
             "field": self.field,
             "was": self.was,
@@ -87,18 +81,16 @@ class Rules(NamedTuple):
     tolerance: float = 0.0  # largest difference of numbers that is accepted
 
 
-EXACTLY = Rules()
-
-
 def place(key: tuple[int, str]) -> tuple[int, int]:
     """Sort key of answers by time and kind: the order in which they are compared."""
     time_ms, kind = key
-    return time_ms, list(KINDS).index(kind)
+    return time_ms, list(ANSWERS).index(kind)
 
 
 def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
-    """Return the answers in a message, with their time_boot_ms; empty if it is not an answer of a service
-    or does not decode.
+    """Return the answers in a message, with their time_boot_ms.
+
+    Empty if it is not an answer of a service, or does not decode.
     """
     if key == WAYPOINT.name:
         return _waypoints(payload)
@@ -117,56 +109,46 @@ def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
     return [Answer(kind, time_boot_ms, fields)]
 
 
-def recorded(entry: Entry) -> list[Answer]:
-    """Return the answers in a message of a log."""
-    found = answers(entry.key, entry.payload, entry.attachment)
-    return [
-        answer.near(1000 * entry.simulation_s)._replace(published_ns=entry.published_ns) for answer in found
-    ]
-
-
 def said(entries: Iterable[Entry]) -> dict[tuple[int, str], Answer]:
     """Return the answers in a log by reading and kind, in order; repeated ones count once."""
     found: dict[tuple[int, str], Answer] = {}
     for entry in entries:
-        for answer in recorded(entry):
+        for each in answers(entry.key, entry.payload, entry.attachment):
+            answer = each.near(1000 * entry.simulation_s)._replace(published_ns=entry.published_ns)
             found.setdefault((answer.time_ms, answer.kind), answer)
     return {key: found[key] for key in sorted(found, key=place)}
 
 
 def ignored(names: Sequence[str], then: Iterable[Answer] = ()) -> frozenset[str]:
-    """Parse the values of --ignore; raises ValueError that says what is allowed.
+    """Parse the values of --ignore; raises BadInput.
 
     Fields that only the log has can be ignored too.
     """
-    fields = {kind: list(known) for kind, known in FIELDS.items()}
+    fields = {kind: dict.fromkeys(known) for kind, known in FIELDS.items()}
     for answer in then:
-        fields[answer.kind] = list(dict.fromkeys((*fields[answer.kind], *answer.fields)))
-    kinds = {**{kind: kind for kind in KINDS}, **{key: kind for kind, key in KINDS.items()}}
+        fields[answer.kind] |= dict.fromkeys(answer.fields)
+    kinds = {**{kind: kind for kind in ANSWERS}, **{key: kind for kind, key in ANSWERS.items()}}
     found = set()
     for name in names:
         key, _, field = name.partition(".")
         if name == PARTICLES:
             found.add(f"belief.{PARTICLES}")
         elif key not in kinds:
-            raise ValueError(
+            raise BadInput(
                 f"--ignore: {name!r} is not allowed; wanted {', '.join(kinds)}, a field of theirs, or "
                 f"{PARTICLES}"
             )
         elif field and field not in fields[kinds[key]]:
-            raise ValueError(f"--ignore: {name!r} is not allowed; {key} has {', '.join(fields[kinds[key]])}")
+            raise BadInput(f"--ignore: {name!r} is not allowed; {key} has {', '.join(fields[kinds[key]])}")
         else:
             found.add(f"{kinds[key]}.{field}" if field else kinds[key])
     return frozenset(found)
 
 
-def difference(
-    was: Answer | None, now: Answer | None, rules: Rules = EXACTLY, step: int | None = None
-) -> Difference | None:
-    """Compare one message with its counterpart, one of which may be missing; returns the first field that
-    differs.
+def difference(was: Answer | None, now: Answer | None, rules: Rules, step: int | None) -> Difference | None:
+    """Compare one message with its counterpart; returns the first field that differs.
 
-    `step` is used for messages that have none.
+    One of the two may be missing. `step` is used for messages that have none.
     """
     one = was or now
     assert one is not None
@@ -175,35 +157,23 @@ def difference(
     where = (
         one.kind,
         one.time_ms,
-        next((known for known in (_step(was), _step(now), step) if known is not None), None),
+        next((known for known in (step_of(was), step_of(now), step) if known is not None), None),
     )
     if was is None or now is None:
         return Difference(*where, "", _headline(was), _headline(now))
     for name in dict.fromkeys((*was.fields, *now.fields)):
-        if f"{one.kind}.{name}" in rules.ignored or (name in LATER and name not in was.fields):
+        if f"{one.kind}.{name}" in rules.ignored or (name in NEWER_FIELDS and name not in was.fields):
             continue
         if found := _first(name, was.fields.get(name), now.fields.get(name), rules.tolerance):
             return Difference(*where, *found)
     return None
 
 
-def compare(
-    then: Mapping[tuple[int, str], Answer], now: Mapping[tuple[int, str], Answer], rules: Rules = EXACTLY
-) -> Difference | None:
-    """Compare the answers of two logs; returns the first difference."""
-    both = {**then, **now}
-    for key in sorted(both, key=place):
-        if found := difference(then.get(key), now.get(key), rules, _step(both.get((key[0], "belief")))):
-            return found
-    return None
-
-
 def must_be_silent(then: Mapping[tuple[int, str], Answer], time_ms: int, kind: str, budget: float) -> bool:
-    """True if a missing answer proves that none was sent, rather than that the log begins later or ends
-    earlier.
+    """True if a missing answer proves that none was sent.
 
-    Answers to the last reading may have been sent after the recording ended, unless the log shows that
-    none was to be sent.
+    Else the log may begin later or end earlier. Answers to the last reading may have been sent after the
+    recording ended, unless the log shows that none was to be sent.
     """
     times = [time for time, _ in then]
     if not times or not times[0] <= time_ms <= times[-1]:
@@ -213,11 +183,12 @@ def must_be_silent(then: Mapping[tuple[int, str], Answer], time_ms: int, kind: s
     belief = then.get((time_ms, "belief"))
     if kind != "waypoint" or belief is None:
         return any((time_ms, later) in then for later in ("belief", "waypoint") if later != kind)
-    step = _step(belief)
+    step = step_of(belief)
     return bool(belief.fields.get("ceased")) or (step is not None and step >= budget)
 
 
-def _step(answer: Answer | None) -> int | None:
+def step_of(answer: Answer | None) -> int | None:
+    """Return the step that a belief or stop says; None if it says none."""
     step = answer.fields.get("step") if answer else None
     return step if isinstance(step, int) else None
 
@@ -234,10 +205,10 @@ def _waypoints(payload: bytes) -> list[Answer]:
         Answer(
             "waypoint",
             message.time_boot_ms,
-            {name: _float32(getattr(message, name)) for name in SETPOINT.fieldnames},
+            {name: _float32(getattr(message, name)) for name in SETPOINT_MESSAGE.fieldnames},
         )
         for message in messages
-        if message.get_type() == SETPOINT.msgname
+        if message.get_type() == SETPOINT_MESSAGE.msgname
     ]
 
 
@@ -285,11 +256,9 @@ def _is_number(value: Any) -> bool:
 
 
 def _same(was: float, now: float, tolerance: float) -> bool:
-    if math.isnan(was) or math.isnan(now):
-        return math.isnan(was) and math.isnan(now)
-    if tolerance and abs(was - now) <= tolerance:
-        return True
-    return was == now and math.copysign(1.0, was) == math.copysign(1.0, now)
+    both_nan = math.isnan(was) and math.isnan(now)
+    near = tolerance > 0.0 and abs(was - now) <= tolerance
+    return both_nan or near or (was == now and math.copysign(1.0, was) == math.copysign(1.0, now))
 
 
 def _plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
 """Reads the log of any ArduPilot or PX4 vehicle (.tlog, .bin, .ulg) as the readings of a search.
 
-Imports: plume, link.bus, link.record.
+Imports: plume, link, link.bus, link.record.
 """

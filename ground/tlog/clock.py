@@ -1,13 +1,16 @@
 """The vehicle's time in a log, continuous across restarts, gaps and jumps of the log's clock."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog.frames import Integers
-from ground.tlog.log import GLOBAL, LOCAL, Autopilot, FlightError, FlightLog, few
+from ground.tlog.log import GLOBAL, LOCAL, Autopilot, FlightLog, few
 from link.bus.frames import frame_at
 from link.bus.mavlink import WRAP_MS, WRAPPED_MS
+from link.cli import BadInput
 
 Floats = NDArray[np.float64]
 
@@ -25,59 +28,55 @@ LOOKAHEAD = 5  # no restart if one of the next messages continues the old clock:
 GAP_US = 5_000_000  # shortest silence that is noted
 
 
-class VehicleClock:
+class VehicleClock(NamedTuple):
     """The vehicle's time in ms: time_boot_ms of its first boot in the log, continued across restarts.
 
     A tick is a record with a time_boot_ms. In all methods, `records` are indices into the log.
     """
 
-    def __init__(
-        self, log: FlightLog, ticks: Integers, raw: Integers, times_ms: Integers, boots: Integers
-    ) -> None:
-        """Take the ticks' records, time_boot_ms (`raw`), continuous times, and the restarts before each."""
-        self._log = log
-        self._ticks = ticks
-        self._raw = raw
-        self._times_ms = times_ms
-        self._boots = boots
-        self._ticks_us = log.times_us[ticks]
-        self._newest_ms = np.maximum.accumulate(times_ms)
+    log: FlightLog
+    ticks: Integers  # their records, and the log's times of these
+    ticks_us: Integers
+    raw: Integers  # their time_boot_ms
+    times_ms: Integers  # their continuous times
+    newest_ms: Integers  # the newest one until each
+    restarts: Integers  # before each
 
     def boots(self, records: Integers) -> Integers:
         """Return the number of restarts before each record."""
-        return self._boots[self._tick(records)]
+        return self.restarts[self._tick(records)]
 
     def own_ms(self, records: Integers, boot_ms: Integers) -> Floats:
         """Return the vehicle's time of records that carry time_boot_ms."""
         tick = self._tick(records)
-        since = (boot_ms - self._raw[tick] + WRAP_MS // 2) % WRAP_MS - WRAP_MS // 2
-        return (self._times_ms[tick] + since).astype(np.float64)
+        since = (boot_ms - self.raw[tick] + WRAP_MS // 2) % WRAP_MS - WRAP_MS // 2
+        return (self.times_ms[tick] + since).astype(np.float64)
 
     def logged_ms(self, records: Integers) -> Floats:
         """Return the vehicle's time at which records were logged, for messages without one of their own."""
-        us, first, last = self._log.times_us[records], self._ticks_us[0], self._ticks_us[-1]
+        us, first, last = self.log.times_us[records], self.ticks_us[0], self.ticks_us[-1]
         beyond = np.where(us < first, us - first, np.maximum(us - last, 0)) / 1000.0
-        return np.asarray(np.interp(us - first, self._ticks_us - first, self._newest_ms) + beyond)
+        return np.asarray(np.interp(us - first, self.ticks_us - first, self.newest_ms) + beyond)
 
     def logged_us(self, times_ms: Floats) -> Integers:
         """Return the log's time (µs since 1970) at the vehicle's times."""
-        since_us = np.interp(times_ms, self._newest_ms, self._ticks_us - self._ticks_us[0])
-        return np.asarray(self._ticks_us[0] + np.rint(since_us).astype(np.int64))
+        since_us = np.interp(times_ms, self.newest_ms, self.ticks_us - self.ticks_us[0])
+        return np.asarray(self.ticks_us[0] + np.rint(since_us).astype(np.int64))
 
     def _tick(self, records: Integers) -> Integers:
-        return np.maximum(np.searchsorted(self._ticks, records, side="right") - 1, 0)
+        return np.maximum(np.searchsorted(self.ticks, records, side="right") - 1, 0)
 
 
 def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> VehicleClock:
     """Make the vehicle's times continuous and remove jumps from the log's clock; notes what was corrected.
 
-    Raises FlightError if neither the log nor the vehicle's messages contain times.
+    Raises BadInput if neither the log nor the vehicle's messages contain times.
     """
     ticks = log.select(autopilot.system, CLOCKS, autopilot.component)
     raw = np.array([_boot_ms(log, tick) for tick in ticks.tolist()], np.int64)
     if not len(ticks):
         if not log.is_timed:
-            raise FlightError(
+            raise BadInput(
                 "neither the log nor the vehicle's messages contain times; wanted a ground station's "
                 "telemetry log (.tlog)"
             )
@@ -103,7 +102,8 @@ def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> VehicleClock:
         told = few([f"{silences_us[gap] / 1e6:.1f} s at {log.seconds(own[gap]):.1f} s" for gap in gaps])
         total_s = silences_us[gaps].sum() / 1e6
         log.notes.append(f"gaps without a message from the vehicle: {told}; {total_s:.1f} s in total")
-    return VehicleClock(log, ticks, raw, times_ms, boots)
+    newest_ms = np.maximum.accumulate(times_ms)
+    return VehicleClock(log, ticks, log.times_us[ticks], raw, times_ms, newest_ms, boots)
 
 
 def _boot_ms(log: FlightLog, index: int) -> int:

@@ -10,13 +10,13 @@ import numpy as np
 
 from ground.tlog import track
 from ground.tlog.clock import Floats, VehicleClock, vehicle_clock
-from ground.tlog.log import AUTOPILOT, Autopilot, FlightError, FlightLog, choose, open_log
+from ground.tlog.log import AUTOPILOT, Autopilot, FlightLog, choose, open_log
 from ground.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wind, recorded, steady
-from ground.tlog.track import Anchor, FlownPath, NorthEastUp
+from ground.tlog.track import FlownPath, NorthEastUp
 from link.bus.keys import MAVLINK_OUT, READING
 from link.bus.mavlink import GAS_NAME, WRAP_MS, Codec, Reading, pack_reading
+from link.cli import BadInput
 from link.record.record import Entry
-from plume.geodesy import to_global
 from plume.scenario import AREA_M
 from plume.world import World, float32
 
@@ -56,7 +56,7 @@ def read(
     area_m: float | None = None,
     plume: World | None = None,
 ) -> LoggedFlight:
-    """Read a flight; raises FlightError if it yields no readings or an argument is not allowed.
+    """Read a flight; raises BadInput if it yields no readings or an argument is not allowed.
 
     system: the vehicle's system id; default: the autopilot with the most positions. gas: see `parse_gas`.
     wind: (speed in m/s, direction it comes from in degrees clockwise from north), instead of the log's
@@ -88,22 +88,22 @@ def read(
         air = read_wind(log, autopilot, clock, wind)
     taken = _take(samples, every, flying, flown, air, left_out)
     places = [place for _, place, _ in taken]
-    if plume:
-        side_m, corner = _area(places, origin, area_m or AREA_M, None)
-    else:
-        side_m, corner = _area(places, origin, area_m, home)
+    fitted = (area_m or AREA_M, None) if plume else (area_m, home)
+    side_m, corner = _area(places, origin, *fitted)
     readings = _readings(taken, corner, side_m, plume, left_out)
     out = ", ".join(f"{count:,} {what}" for what, count in left_out.items())
     if not readings:
-        raise FlightError(
+        raise BadInput(
             f"{path}: none of the {len(samples):,} samples can be a reading; left out: {out or 'none'}"
         )
-    where = _where(corner, flown.anchor)
+    where = Origin(*corner, *(flown.anchor.globe(*corner) if flown.anchor else (None, None)))
     log.notes.append(_note_on_readings([reading for reading, _ in readings], every))
     log.notes += [f"left out: {out}"] * bool(out)
     globe = "" if where.lat_deg is None else f" ({where.lat_deg:.7f}, {where.lon_deg:.7f})"
-    south_west = f"{where.north_m:g} m north and {where.east_m:g} m east of the local origin{globe}"
-    log.notes.append(f"area: side {side_m:g} m, south-west corner {south_west}")
+    log.notes.append(
+        f"area: side {side_m:g} m, south-west corner {where.north_m:g} m north and {where.east_m:g} m east "
+        f"of the local origin{globe}"
+    )
     return LoggedFlight(_entries(log, autopilot, clock, readings), autopilot.system, side_m, where, log.notes)
 
 
@@ -111,18 +111,20 @@ def _check(
     wind: Pair | None, every_s: float | None, origin: Pair | None, area_m: float | None, plume: World | None
 ) -> None:
     if wind is not None and plume is not None:
-        raise FlightError("a wind is not allowed with a plume, which has its own")
+        raise BadInput("a wind is not allowed with a plume, which has its own")
     if wind is not None and not (0.0 <= wind[0] <= STRONGEST_MPS and abs(wind[1]) <= 360.0):
-        wanted = f"a speed from 0 to {STRONGEST_MPS:g} m/s and a direction within ±360°"
-        raise FlightError(f"wind {wind[0]:g},{wind[1]:g} is not allowed; wanted {wanted}")
+        raise BadInput(
+            f"wind {wind[0]:g},{wind[1]:g} is not allowed; wanted a speed from 0 to {STRONGEST_MPS:g} m/s "
+            "and a direction within ±360°"
+        )
     if every_s is not None and not LEAST_EVERY_S <= every_s < math.inf:
-        raise FlightError(
+        raise BadInput(
             f"a reading every {every_s:g} s is not allowed; wanted a number from {LEAST_EVERY_S:g}"
         )
     if origin is not None and not all(map(math.isfinite, origin)):
-        raise FlightError(f"origin {origin[0]:g},{origin[1]:g} is not allowed; wanted m north and m east")
+        raise BadInput(f"origin {origin[0]:g},{origin[1]:g} is not allowed; wanted m north and m east")
     if area_m is not None and not 0.0 < area_m < math.inf:
-        raise FlightError(f"an area of {area_m:g} m is not allowed; wanted a number above 0")
+        raise BadInput(f"an area of {area_m:g} m is not allowed; wanted a number above 0")
 
 
 class Taken(NamedTuple):
@@ -150,8 +152,8 @@ def _along(path: FlownPath, clock: VehicleClock, every_s: float) -> list[LoggedG
         for begin, end in lines
     ]
     times_ms: Floats = first + every_ms * np.unique(np.concatenate(numbers)).astype(np.float64)
-    logged_us = clock.logged_us(times_ms).tolist()
-    return [LoggedGas(round(time), us, 0.0) for time, us in zip(times_ms.tolist(), logged_us, strict=True)]
+    pairs = zip(times_ms.tolist(), clock.logged_us(times_ms).tolist(), strict=True)
+    return [LoggedGas(round(time), us, 0.0) for time, us in pairs]
 
 
 def _take(
@@ -162,8 +164,9 @@ def _take(
     air: Air,
     left_out: Counter[str],
 ) -> list[Taken]:
-    """Return the first sample of each interval that was taken in the air, at a known place and in a known
-    wind.
+    """Return the first sample of each interval.
+
+    It was taken in the air, at a known place and in a known wind.
     """
     taken: list[Taken] = []
     interval = None
@@ -206,8 +209,9 @@ def _area(
 def _readings(
     taken: Sequence[Taken], corner: Pair, side_m: float, plume: World | None, left_out: Counter[str]
 ) -> list[tuple[Reading, LoggedGas]]:
-    """Return the readings inside the area, with times shifted if they do not fit MAVLink's 32-bit
-    time_boot_ms.
+    """Return the readings inside the area.
+
+    Their times are shifted if they do not fit MAVLink's 32-bit time_boot_ms.
     """
     fits = bool(taken) and taken[0].sample.time_ms >= 0 and taken[-1].sample.time_ms < WRAP_MS
     first_ms = 0 if fits or not taken else taken[0].sample.time_ms
@@ -222,15 +226,6 @@ def _readings(
             gas = plume.gas(position, len(readings)) if plume else sample.gas
             readings.append((Reading(sample.time_ms - first_ms, position, float32(up), wind, gas), sample))
     return readings
-
-
-def _where(corner: Pair, anchor: Anchor | None) -> Origin:
-    north, east = corner
-    if anchor is None:
-        return Origin(north, east, None, None)
-    return Origin(
-        north, east, *to_global(anchor.lat_deg, anchor.lon_deg, north - anchor.north_m, east - anchor.east_m)
-    )
 
 
 def _note_on_readings(readings: Sequence[Reading], every_s: float) -> str:
@@ -256,7 +251,6 @@ def _entries(
     ]
     codec = Codec(autopilot.system, AUTOPILOT)
     for reading, sample in readings:
-        time_s = reading.time_boot_ms / 1000.0
-        payload = pack_reading(codec, reading)
+        time_s, payload = reading.time_boot_ms / 1000.0, pack_reading(codec, reading)
         entries.append(Entry(READING.name, 1000 * sample.logged_us, time_s, payload))
     return sorted(entries, key=lambda entry: entry.published_ns)

@@ -61,9 +61,9 @@ def scan(data: bytes) -> Records:
         cut_off = len(data) - at
     else:
         garbage.append((len(rows) // 6, len(data) - at))
-    columns = np.frombuffer(rows, np.int64).reshape(-1, 6).T.copy()
-    unknown = Counter(message_id for message_id in columns[3].tolist() if message_id not in SEEDS)
-    logged_us, starts, ends, message_ids, systems, components = columns
+    logged_us, starts, ends, message_ids, systems, components = (
+        np.frombuffer(rows, np.int64).reshape(-1, 6).T.copy()
+    )
     return Records(
         logged_us,
         starts,
@@ -72,9 +72,9 @@ def scan(data: bytes) -> Records:
         systems,
         components,
         garbage,
-        Counter(refused.values()),
-        unknown,
-        cut_off,
+        refused=Counter(refused.values()),
+        unknown=Counter(message_id for message_id in message_ids.tolist() if message_id not in SEEDS),
+        cut_off=cut_off,
     )
 
 
@@ -132,8 +132,9 @@ def _is_real(data: bytes, at: int, start: int, frame: Frame) -> bool:
         return _is_right(frame)
     if not _is_between_records(data, at, start, frame):
         return False
-    places = MARKER.finditer(data, start + 1, start + len(frame.data))
-    inside = (frame_at(data, match.start()) for match in places)
+    inside = (
+        frame_at(data, match.start()) for match in MARKER.finditer(data, start + 1, start + len(frame.data))
+    )
     return not any(seen and seen.message_id in SEEDS and _is_right(seen) for seen in inside)
 
 

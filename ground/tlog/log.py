@@ -11,7 +11,9 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog import onboard
 from ground.tlog.frames import Integers, log_clock, scan
+from link.bus.frames import MAVLINK_1, MAVLINK_2
 from link.bus.mavlink import Message
+from link.cli import BadInput
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
@@ -24,22 +26,19 @@ MAKERS = {
     mavlink.MAV_AUTOPILOT_PX4: "PX4",
     mavlink.MAV_AUTOPILOT_GENERIC: "generic autopilot",
 }
+VERSIONS = {MAVLINK_1: "1", MAVLINK_2: "2"}  # by the first byte of a frame
 LISTED = 5  # notes list this many items of a kind and count the rest
 
 
-def few(texts: Sequence[str]) -> str:
-    """List the first few texts and count the rest."""
-    more = f" and {len(texts) - LISTED:,} more" if len(texts) > LISTED else ""
-    return ", ".join(texts[:LISTED]) + more
+def few(texts: Sequence[str], count: int = 0) -> str:
+    """List the first few texts and count the rest; `count` is their total if not all are given."""
+    more = max(len(texts), count) - LISTED
+    return ", ".join(texts[:LISTED]) + (f" and {more:,} more" if more > 0 else "")
 
 
 def counted(count: int, what: str) -> str:
     """Write a number and its noun, in the plural if needed."""
     return f"{count:,} {what}{'' if count == 1 else 's'}"
-
-
-class FlightError(ValueError):
-    """A log does not contain what was requested, or the request is not allowed; the message is one line."""
 
 
 class FlightLog:
@@ -57,7 +56,6 @@ class FlightLog:
         self._parser = mavlink.MAVLink(None)
 
     def __len__(self) -> int:
-        """Number of records."""
         return len(self.records.starts)
 
     def select(
@@ -97,25 +95,24 @@ class FlightLog:
 
 
 def open_log(path: Path, gas: str = "") -> FlightLog:
-    """Return a log's records, with notes about the file. Raises FlightError if it cannot be read or is none.
+    """Return a log's records, with notes about the file. Raises BadInput if it cannot be read or is none.
 
     gas: the message and field that an on-board log's gas values are read from, if it is not a named value.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise FlightError(f"{path} cannot be read: {error.strerror}") from None
+        raise BadInput(f"{path} cannot be read: {error.strerror}") from None
     told = ""
-    is_onboard = data.startswith((onboard.DATAFLASH, onboard.ULOG))
-    if is_onboard:
+    if data.startswith((onboard.DATAFLASH, onboard.ULOG)):
         data, told = onboard.telemetry(data, gas)
-    log = FlightLog(data, is_onboard)
-    if is_onboard and not len(log):
-        raise FlightError(f"{path} is {told}, but none that tells of a position, the wind or gas")
+    log = FlightLog(data, bool(told))
     if not len(log):
-        raise FlightError(
-            f"{path} contains no MAVLink 1 or 2 frame; wanted a telemetry log (.tlog), as ground stations "
-            "write it, or a log that an autopilot writes on board (.bin, .ulg)"
+        raise BadInput(
+            f"{path} is {told}, but none that tells of a position, the wind or gas"
+            if told
+            else f"{path} contains no MAVLink 1 or 2 frame; wanted a telemetry log (.tlog), as ground "
+            "stations write it, or a log that an autopilot writes on board (.bin, .ulg)"
         )
     if told:
         log.notes.append(f"{path.name}: {told}; read as the telemetry that follows")
@@ -125,17 +122,17 @@ def open_log(path: Path, gas: str = "") -> FlightLog:
 
 def _note_file(name: str, log: FlightLog) -> None:
     records, clock, notes = log.records, log.clock, log.notes
-    version_1 = sum(log.data[start] == mavlink.PROTOCOL_MARKER_V1 for start in records.starts.tolist())
-    counts = (("1", version_1), ("2", len(log) - version_1))
-    versions = " and ".join(version for version, count in counts if count)
+    markers = {log.data[start] for start in records.starts.tolist()}
+    versions = " and ".join(VERSIONS[marker] for marker in sorted(markers, reverse=True))
     began = datetime.fromtimestamp(int(log.times_us[0]) / 1e6, UTC)
     span = f" in {log.seconds(-1):,.1f} s from {began:%Y-%m-%d %H:%M:%S} UTC" if log.is_timed else ""
     notes.append(f"{name}: {counted(len(log), 'frame')} of MAVLink {versions}{span}")
     if records.garbage:
-        amount = counted(sum(count for _, count in records.garbage), "byte")
         first_s = log.seconds(min(records.garbage[0][0], len(log) - 1))
-        runs = counted(len(records.garbage), "run")
-        notes.append(f"skipped: {amount} of garbage in {runs}, the first at {first_s:.1f} s")
+        notes.append(
+            f"skipped: {counted(sum(count for _, count in records.garbage), 'byte')} of garbage in "
+            f"{counted(len(records.garbage), 'run')}, the first at {first_s:.1f} s"
+        )
     for counts_by_id, told in (
         (records.refused, "among them, frames with a wrong checksum (damaged or from another dialect)"),
         (records.unknown, "frames of unknown messages, whose checksums cannot be verified"),
@@ -149,8 +146,10 @@ def _note_file(name: str, log: FlightLog) -> None:
     if records.cut_off:
         notes.append(f"the last record is cut off after {counted(records.cut_off, 'byte')}")
     if log.is_timed and clock.damaged:
-        told = "each takes the time of the frame before it"
-        notes.append(f"frames with a missing or impossible time: {clock.damaged:,}; {told}")
+        notes.append(
+            f"frames with a missing or impossible time: {clock.damaged:,}; each takes the time of the frame "
+            "before it"
+        )
     if clock.jumps:
         jumps = [f"{back_us / 1e6:,.1f} s at {log.seconds(index):.1f} s" for index, back_us in clock.jumps]
         notes.append(f"the log's clock jumps back by {few(jumps)}: later times are corrected")
@@ -170,7 +169,7 @@ class Autopilot(NamedTuple):
 def choose(log: FlightLog, system: int | None) -> Autopilot:
     """Return the autopilot that sent the most positions, of one system or of any, and note all senders.
 
-    Raises FlightError if there is none.
+    Raises BadInput if there is none.
     """
     makers, stations = {}, set()
     for _, m in log.messages(log.select(None, (HEARTBEAT,))):
@@ -183,12 +182,12 @@ def choose(log: FlightLog, system: int | None) -> Autopilot:
     systems = sorted({of for of, _ in senders})
     present = ", ".join(map(str, systems))
     if system is not None and system not in systems:
-        raise FlightError(f"system {system} is not in the log; its systems: {present}")
+        raise BadInput(f"system {system} is not in the log; its systems: {present}")
     positions = log.senders(log.select(system, (LOCAL, GLOBAL, GPS)))
     candidates = [sender for sender in senders if system in (None, sender[0])]
     autopilots = [sender for sender in candidates if sender in makers or sender[1] == AUTOPILOT]
     if system is None and not autopilots:
-        raise FlightError(
+        raise BadInput(
             f"no vehicle is in the log: none of its systems ({present}) is an autopilot; choose one with "
             "--sysid"
         )
@@ -200,13 +199,13 @@ def choose(log: FlightLog, system: int | None) -> Autopilot:
         f"vehicle: system {chosen.system} ({chosen.maker}), component {chosen.component} "
         f"({counted(senders.pop(best), 'frame')})"
     )
-    own, strangers = [], []
-    for (of, component), count in senders.most_common():
-        if of == chosen.system:
-            own.append(f"component {component} ({counted(count, 'frame')})")
-        else:
-            station = "ground station, " * ((of, component) in stations)
-            strangers.append(f"system {of} component {component} ({station}{counted(count, 'frame')})")
-    kinds = (("also on board", own), ("skipped", strangers))
-    log.notes += [f"{told}: {few(listed)}" for told, listed in kinds if listed]
+    ranked = senders.most_common()
+    own = [f"component {part} ({counted(n, 'frame')})" for (of, part), n in ranked if of == chosen.system]
+    strangers = [
+        f"system {of} component {part} ({'ground station, ' * ((of, part) in stations)}{counted(n, 'frame')})"
+        for (of, part), n in ranked
+        if of != chosen.system
+    ]
+    told = {"also on board": own, "skipped": strangers}
+    log.notes += [f"{what}: {few(listed)}" for what, listed in told.items() if listed]
     return chosen

@@ -10,6 +10,7 @@ import contextlib
 import re
 import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from pymavlink.DFReader import FORMAT_TO_STRUCT
@@ -33,15 +34,18 @@ UNLIKE = struct.error, LookupError, ValueError, TypeError, OverflowError, Attrib
 DATAFLASH_HEAD = 3  # bytes before a message's body
 FORMAT_TYPE = 0x80  # of the dataflash message that defines the others
 NAME_LENGTH = 10  # of a NAMED_VALUE_FLOAT
-AT_E7 = 1e7
 Fields = dict[str, Any]
 
 
 # ---- what becomes of their messages ----
 
 
+def _place(lat: float, lon: float, alt_m: float) -> tuple[int, int, int]:
+    return round(lat * 1e7), round(lon * 1e7), round(1000 * alt_m)
+
+
 def _globe(time_ms: int, lat: float, lon: float, alt_m: float, up_m: float = 0.0) -> Message:
-    place = round(lat * AT_E7), round(lon * AT_E7), round(1000 * alt_m), round(1000 * up_m)
+    place = *_place(lat, lon, alt_m), round(1000 * up_m)
     return mavlink.MAVLink_global_position_int_message(time_ms, *place, 0, 0, 0, 0)
 
 
@@ -55,17 +59,9 @@ def _wind(_: int, north: float, east: float) -> Message:
     return mavlink.MAVLink_wind_cov_message(0, north, east, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def _heartbeat(autopilot: int, armed: bool) -> Message:
-    mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
+def _armed(autopilot: int, armed_state: int, _: int, state: int) -> Message:
+    mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if state == armed_state else 0
     return mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, autopilot, mode, 0, 0, 3)
-
-
-def _ardupilot_armed(_: int, state: int) -> Message:
-    return _heartbeat(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, state == 1)
-
-
-def _px4_armed(_: int, state: int) -> Message:
-    return _heartbeat(mavlink.MAV_AUTOPILOT_PX4, state == 2)
 
 
 def _landed(_: int, landed: bool) -> Message:
@@ -73,21 +69,19 @@ def _landed(_: int, landed: bool) -> Message:
     return mavlink.MAVLink_extended_sys_state_message(0, state)
 
 
-def _home(_: int, lat: float, lon: float, alt_m: float) -> Message:
-    place = round(lat * AT_E7), round(lon * AT_E7), round(1000 * alt_m)
-    return mavlink.MAVLink_home_position_message(*place, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
+def _home(_: int, *place: float) -> Message:
+    attitude = [1.0, 0.0, 0.0, 0.0]
+    return mavlink.MAVLink_home_position_message(*_place(*place), 0.0, 0.0, 0.0, attitude, 0.0, 0.0, 0.0)
 
 
-def _origin(time_ms: int, kind: int, lat: float, lon: float, alt_m: float) -> Message:
-    if kind:
-        return _home(time_ms, lat, lon, alt_m)
-    place = round(lat * AT_E7), round(lon * AT_E7), round(1000 * alt_m)
-    return mavlink.MAVLink_gps_global_origin_message(*place, 0)
+def _origin(time_ms: int, kind: int, *place: float) -> Message:
+    return _home(time_ms, *place) if kind else mavlink.MAVLink_gps_global_origin_message(*_place(*place), 0)
 
 
 def _named(time_ms: int, name: str, value: float, senders_ms: int | None = None) -> Message:
-    own_ms = time_ms if senders_ms is None else senders_ms
-    return mavlink.MAVLink_named_value_float_message(own_ms, name.encode()[:NAME_LENGTH], value)
+    return mavlink.MAVLink_named_value_float_message(
+        time_ms if senders_ms is None else senders_ms, name.encode()[:NAME_LENGTH], value
+    )
 
 
 TELEMETRY: dict[str, tuple[Callable[..., Message | None], tuple[str, ...]]] = {
@@ -96,7 +90,7 @@ TELEMETRY: dict[str, tuple[Callable[..., Message | None], tuple[str, ...]]] = {
     "ORGN": (_origin, ("Type", "Lat", "Lng", "Alt")),
     "XKF2": (_wind, ("VWN", "VWE")),
     "NKF2": (_wind, ("VWN", "VWE")),
-    "ARM": (_ardupilot_armed, ("ArmState",)),
+    "ARM": (partial(_armed, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 1), ("ArmState",)),
     "NVF": (_named, ("Name", "Value")),  # a value that the autopilot sent
     "NVAL": (_named, ("Name", "Value", "TimeBootMS")),  # one that it received
     "vehicle_local_position": (_local, ("x", "y", "z", "xy_valid")),
@@ -104,11 +98,11 @@ TELEMETRY: dict[str, tuple[Callable[..., Message | None], tuple[str, ...]]] = {
     "home_position": (_home, ("lat", "lon", "alt")),
     "wind": (_wind, ("windspeed_north", "windspeed_east")),
     "wind_estimate": (_wind, ("windspeed_north", "windspeed_east")),
-    "vehicle_status": (_px4_armed, ("arming_state",)),
+    "vehicle_status": (partial(_armed, mavlink.MAV_AUTOPILOT_PX4, 2), ("arming_state",)),
     "vehicle_land_detected": (_landed, ("landed",)),
     "debug_key_value": (_named, ("key", "value")),
 }
-CLOCKS = ("GPS", "vehicle_gps_position", "sensor_gps")  # messages that tell the time of day
+TIME_OF_DAY = ("GPS", "vehicle_gps_position", "sensor_gps")  # messages that tell the time of day
 GPS_EPOCH_US = 315_964_800_000_000  # 6 January 1980
 LEAP_US = 18_000_000  # GPS time is ahead of UTC by this, since 2017
 WEEK_US = 7 * 86_400 * 1_000_000
@@ -134,7 +128,7 @@ class _Said:
         self.utc_us = 0  # time of the boot, µs since 1970; 0 until a receiver tells it
         self._gas = gas
         self._topic, _, self._field = gas.partition(".")
-        self.topics = {*TELEMETRY, *CLOCKS, self._topic}
+        self.topics = {*TELEMETRY, *TIME_OF_DAY, self._topic}
         self._codec = Codec(1, mavlink.MAV_COMP_ID_AUTOPILOT1)
 
     def take(self, topic: str, fields: Fields) -> None:
@@ -143,7 +137,7 @@ class _Said:
             time_us = int(fields["TimeUS"] if "TimeUS" in fields else fields["timestamp"])
             if not 0 <= time_us < LATEST_US:
                 return
-            if topic in CLOCKS and not self.utc_us:
+            if topic in TIME_OF_DAY and not self.utc_us:
                 self._set_clock(time_us, fields)
             time_ms = time_us // 1000 % WRAP_MS
             if topic == self._topic and self._field in fields:

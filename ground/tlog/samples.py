@@ -10,21 +10,21 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog.clock import Floats, VehicleClock
 from ground.tlog.frames import Integers
-from ground.tlog.log import LOCAL, NAMES, Autopilot, FlightError, FlightLog, counted, few
+from ground.tlog.log import LOCAL, NAMES, Autopilot, FlightLog, counted, few
 from ground.tlog.onboard import NAME_LENGTH
 from ground.tlog.track import NorthEastUp, Reported
 from link.bus.mavlink import BadFrame, Message, unpack_reading
+from link.cli import BadInput
 from plume.world import float32
 
 Pair = tuple[float, float]
+# Maps the vehicle's time in ms to the wind, (x east, y north) m/s, pointing to where it comes from; None if
+# unknown.
 Air = Callable[[float], Pair | None]
-"""Maps the vehicle's time in ms to the wind, (x east, y north) m/s, pointing to where it comes from; None
-if unknown.
-"""
 
 NAMED = (mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, mavlink.MAVLINK_MSG_ID_NAMED_VALUE_INT)
 WIND_COV, WIND = mavlink.MAVLINK_MSG_ID_WIND_COV, mavlink.MAVLINK_MSG_ID_WIND
-READING = (LOCAL, WIND_COV, NAMED[0])  # of one reading: consecutive, from one sender, with one time
+READING_IDS = (LOCAL, WIND_COV, NAMED[0])  # of one reading: consecutive, from one sender, with one time
 MESSAGES = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}
 # Largest difference between a sender's time and the vehicle's if both share a clock: of the median, and by
 # which a single value may be later.
@@ -45,7 +45,7 @@ class GasSource(NamedTuple):
 def parse_gas(text: str, is_onboard: bool = False) -> GasSource:
     """Parse NAME (of a NAMED_VALUE_FLOAT or NAMED_VALUE_INT) or MESSAGE.FIELD, either followed by *FACTOR.
 
-    Of an on-board log, the message has become a named value already. Raises FlightError.
+    Of an on-board log, the message has become a named value already. Raises BadInput.
     """
     what, star, number = text.partition("*")
     try:
@@ -53,7 +53,7 @@ def parse_gas(text: str, is_onboard: bool = False) -> GasSource:
     except ValueError:
         factor = math.nan
     if not 0.0 < factor < math.inf:
-        raise FlightError(f"{text!r} is not allowed; wanted a number above 0 after the *")
+        raise BadInput(f"{text!r} is not allowed; wanted a number above 0 after the *")
     message, _, field = what.partition(".")
     if is_onboard:
         return GasSource(text, NAMED, "value", what[:NAME_LENGTH], factor)
@@ -62,10 +62,10 @@ def parse_gas(text: str, is_onboard: bool = False) -> GasSource:
         numbers = [name for name in kind.fieldnames if _is_number(kind, name)]
         if field not in numbers:
             known = ", ".join(numbers) or "it has none"
-            raise FlightError(f"{text!r} is not allowed; wanted a numeric field of {message}: {known}")
+            raise BadInput(f"{text!r} is not allowed; wanted a numeric field of {message}: {known}")
         return GasSource(text, (kind.id,), field, None, factor)
     if not 1 <= len(what) <= NAME_LENGTH:
-        raise FlightError(
+        raise BadInput(
             f"{text!r} is not allowed; wanted the NAME of a NAMED_VALUE_FLOAT, 1 to {NAME_LENGTH} "
             "characters, or MESSAGE.FIELD such as SCALED_PRESSURE3.temperature, either followed by *FACTOR"
         )
@@ -90,15 +90,14 @@ class LoggedGas(NamedTuple):
 def recorded(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[list[LoggedGas], list[int]]:
     """Return the readings of a search that a log holds as they were said on its bus, each once.
 
-    Also returns the records of their LOCAL_POSITION_NEDs: these are m from home, wherever the vehicle has the
+    Also return the records of their LOCAL_POSITION_NEDs: these are m from home, wherever the vehicle has the
     origin of its own frame.
     """
     fixes: list[int] = []
     samples: dict[int, LoggedGas] = {}
-    records = log.records
-    for first in log.select(autopilot.system, READING[:1]).tolist():
+    for first in log.select(autopilot.system, READING_IDS[:1]).tolist():
         three = slice(first, first + 3)
-        if tuple(records.message_ids[three]) != READING or len(log.senders(three)) > 1:
+        if tuple(log.records.message_ids[three]) != READING_IDS or len(log.senders(three)) > 1:
             continue
         try:
             said = unpack_reading(b"".join(log.frame(index) for index in range(first, first + 3)))
@@ -116,9 +115,8 @@ def recorded(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple
 def read_gas(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, source: GasSource, left_out: Counter[str]
 ) -> list[LoggedGas]:
-    """Return the gas values in order of time; raises FlightError if there are none."""
-    said: list[tuple[int, int, int]] = []
-    values: list[float] = []
+    """Return the gas values in order of time; raises BadInput if there are none."""
+    said: list[tuple[int, int, int, float]] = []
     taken: set[tuple[int, ...]] = set()
     boots = clock.boots(np.arange(len(log)))
     for index, m in log.messages(log.select(autopilot.system, source.message_ids)):
@@ -131,19 +129,18 @@ def read_gas(
             left_out["repeated"] += 1
             continue
         taken.add(this)
-        said.append((index, component, boot_ms))
-        values.append(value)
+        said.append((index, component, boot_ms, value))
     if not said:
-        raise FlightError(_no_gas(log, autopilot, source))
+        raise BadInput(_no_gas(log, autopilot, source))
     log.notes.append(f"gas: {counted(len(said), 'value')} of {source.text}")
-    records, components, own_ms = np.array(said, np.int64).T
+    records, components, own_ms = np.array([sent[:3] for sent in said], np.int64).T
     times_ms, by_log = _timed(clock, records, components, own_ms)
     if by_log:
         log.notes.append(
             f"gas values from senders without the vehicle's clock: {by_log:,}; their log times are used"
         )
     with np.errstate(over="ignore"):
-        gas = (np.array(values, np.float64) * source.factor).astype(np.float32)
+        gas = (np.array([value for *_, value in said], np.float64) * source.factor).astype(np.float32)
     order = np.argsort(times_ms, kind="stable")
     logged_us = np.maximum.accumulate(log.times_us[records[order]])
     samples: list[LoggedGas] = []
@@ -163,10 +160,10 @@ def read_gas(
 def _timed(
     clock: VehicleClock, records: Integers, components: Integers, boot_ms: Integers
 ) -> tuple[Floats, int]:
-    """Return the vehicle's times of gas values, and how many come from the log because their sender has
-    another clock or none.
+    """Return the vehicle's times of gas values, and how many come from the log.
 
-    Where a sender has the vehicle's clock, an older value was lost at first, and came when it was repeated.
+    They do where a sender has another clock or none. Where it has the vehicle's clock, an older value was
+    lost at first, and came when it was repeated.
     """
     logged_ms, own_ms = clock.logged_ms(records), clock.own_ms(records, boot_ms)
     is_own = own_ms - logged_ms <= OWN_CLOCK_MS
@@ -183,27 +180,28 @@ def _no_gas(log: FlightLog, autopilot: Autopilot, source: GasSource) -> str:
         names[m.get_srcSystem()].add(m.name)
     own = [name if name.isprintable() else repr(name) for name in sorted(names[autopilot.system])]
     elsewhere = "".join(f"; system {system} did" for system in sorted(names) if source.name in names[system])
-    there = few(own) or "none"
     return (
-        f"system {autopilot.system} sent no {source.text}{elsewhere}; its named values: {there}; "
-        "choose one with --gas, or simulate a plume along its path with --plume MISSION.yaml"
+        f"system {autopilot.system} sent no {source.text}{elsewhere}; its named values: "
+        f"{few(own) or 'none'}; choose one with --gas, or simulate a plume along its path with "
+        "--plume MISSION.yaml"
     )
 
 
 def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: Pair | None) -> Air:
-    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168); raises FlightError if
-    none exists.
+    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168).
+
+    Raises BadInput if none exists.
     """
     if wind is not None:
         log.notes.append(f"wind: {wind[0]:g} m/s from {wind[1]:g}°, as given")
         return steady(_from_compass(*wind))
-    for message_id, toward in ((WIND_COV, _wind_cov), (WIND, _wind)):
-        said = [(index, toward(m)) for index, m in log.messages(log.select(autopilot.system, (message_id,)))]
-        said = [(index, pair) for index, pair in said if all(map(math.isfinite, pair))]
+    for message_id, toward in WINDS.items():
+        told = log.messages(log.select(autopilot.system, (message_id,)))
+        said = [(index, pair) for index, m in told if all(map(math.isfinite, pair := toward(m)))]
         if said:
             log.notes.append(f"wind: {len(said):,} {NAMES[message_id]}")
             return _changing(Reported(clock, said))
-    raise FlightError(
+    raise BadInput(
         f"system {autopilot.system} sent no wind (WIND_COV or WIND); give it with --wind SPEED,FROM"
     )
 
@@ -213,14 +211,12 @@ def _from_compass(speed: float, from_deg: float) -> Pair:
     return float32(speed * math.sin(heading)), float32(speed * math.cos(heading))
 
 
-def _wind_cov(m: Message) -> Pair:
-    """WIND_COV (231) carries the air's velocity, north and east."""
-    return -m.wind_y, -m.wind_x
-
-
-def _wind(m: Message) -> Pair:
-    """ArduPilot's WIND (168) carries the direction that the wind comes from."""
-    return _from_compass(m.speed, m.direction)
+WINDS: dict[int, Callable[[Message], Pair]] = {
+    # The velocity of the air, north and east.
+    WIND_COV: lambda m: (-m.wind_y, -m.wind_x),
+    # ArduPilot's: the direction that the wind comes from.
+    WIND: lambda m: _from_compass(m.speed, m.direction),
+}
 
 
 def steady(wind: Pair) -> Air:

@@ -10,9 +10,10 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog.clock import Floats, VehicleClock
 from ground.tlog.frames import Integers
-from ground.tlog.log import GLOBAL, GPS, HEARTBEAT, LISTED, LOCAL, Autopilot, FlightError, FlightLog
+from ground.tlog.log import GLOBAL, GPS, HEARTBEAT, LISTED, LOCAL, Autopilot, FlightLog
 from link.bus.mavlink import Message
-from plume.geodesy import to_local
+from link.cli import BadInput
+from plume.geodesy import to_global, to_local
 
 NorthEastUp = tuple[float, float, float]  # m
 Home = tuple[float, float, float]  # latitude and longitude in degrees, altitude above the sea in m
@@ -44,7 +45,6 @@ class Track:
         self._lines = np.concatenate([[0], np.cumsum(breaks)])[: len(chosen)]  # number of each fix's line
 
     def __len__(self) -> int:
-        """Number of fixes."""
         return len(self.times_ms)
 
     def lines(self) -> Iterator[tuple[float, float]]:
@@ -57,8 +57,9 @@ class Track:
         return ((int(self.boots[fixes[0]]), fixes) for fixes in _groups(self.boots))
 
     def at(self, time_ms: float) -> NorthEastUp | None:
-        """Return the place, interpolated on a line or extrapolated from its first or last second by at
-        most 1 s; None elsewhere.
+        """Return the place at a time; None where no fix is near enough.
+
+        It is interpolated on a line, or extrapolated from its first or last second by at most 1 s.
         """
         times_ms, lines = self.times_ms, self._lines
         b = int(np.searchsorted(times_ms, time_ms, side="right"))
@@ -86,17 +87,17 @@ class Anchor(NamedTuple):
     north_m: float
     east_m: float
 
+    def globe(self, north_m: float, east_m: float) -> tuple[float, float]:
+        """Return the latitude and longitude of a place in the local frame."""
+        return to_global(self.lat_deg, self.lon_deg, north_m - self.north_m, east_m - self.east_m)
 
-class FlownPath:
+
+class FlownPath(NamedTuple):
     """The vehicle's path in one local frame, from the best fixes available."""
 
-    def __init__(self, tracks: Sequence[Track], anchor: Anchor | None, is_local: bool) -> None:
-        """Take the tracks, the best first, the anchor on the globe, if known, and whether the frame is the
-        vehicle's own.
-        """
-        self.tracks = [track for track in tracks if len(track)]
-        self.anchor = anchor
-        self.is_local = is_local
+    tracks: Sequence[Track]  # the best first
+    anchor: Anchor | None  # None if no message ties the frame to the globe
+    is_local: bool  # whether the frame is the vehicle's own
 
     def at(self, time_ms: float) -> NorthEastUp | None:
         """Return the place at a time; None if no fix is near enough."""
@@ -106,11 +107,10 @@ class FlownPath:
 def flown(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, foreign: Sequence[int] = ()
 ) -> FlownPath:
-    """Return the path; raises FlightError if the vehicle sent no position. foreign: records of positions in
-    another frame.
+    """Return the path; raises BadInput if the vehicle sent no position.
 
-    Fixes come from LOCAL_POSITION_NED (32), else GLOBAL_POSITION_INT (33); from GPS_RAW_INT (24) only if
-    neither was ever sent.
+    foreign: records of positions in another frame. Fixes come from LOCAL_POSITION_NED (32), else
+    GLOBAL_POSITION_INT (33); from GPS_RAW_INT (24) only if neither was ever sent.
     """
     homes = [home for _, home in _told_places(log, autopilot, HOME)]
     local = _track(log, autopilot, clock, LOCAL, _local_place, foreign)
@@ -119,10 +119,10 @@ def flown(
     if not len(local) and not len(around):
         around, home = _globe_track(log, autopilot, clock, GPS, homes)
         name = "GPS_RAW_INT"
-    kinds = ((local, "LOCAL_POSITION_NED"), (around, name))
-    told = [f"{len(track):,} {kind}" for track, kind in kinds if len(track)]
+    kinds = {"LOCAL_POSITION_NED": local, name: around}
+    told = [f"{len(track):,} {kind}" for kind, track in kinds.items() if len(track)]
     if not told:
-        raise FlightError(
+        raise BadInput(
             f"system {autopilot.system} sent no position; wanted LOCAL_POSITION_NED, or GLOBAL_POSITION_INT "
             "or GPS_RAW_INT with a fix"
         )
@@ -244,8 +244,9 @@ def _is_place(lat_e7: int, lon_e7: int) -> bool:
 
 
 def _offsets(local: Track, around: Track) -> dict[int, Floats]:
-    """Return, by number of restarts, the local frame's origin in the other track's frame, from fixes at
-    equal times.
+    """Return the local frame's origin in the other track's frame, by number of restarts.
+
+    It is taken from fixes at equal times.
     """
     offsets = {}
     for boot, fixes in local.of_boots():
@@ -280,22 +281,15 @@ def flying(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> Callabl
     never reported is ignored.
     """
     landed = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
-    undefined, grounded = mavlink.MAV_LANDED_STATE_UNDEFINED, mavlink.MAV_LANDED_STATE_ON_GROUND
-    armed: list[tuple[int, float]] = []
-    aloft: list[tuple[int, float]] = []
+    said: dict[str, list[tuple[int, float]]] = {"disarmed": [], "on the ground": []}
     for index, m in log.messages(log.select(autopilot.system, (HEARTBEAT, landed), autopilot.component)):
         if m.get_msgId() == HEARTBEAT:
-            armed.append((index, bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)))
-        elif m.landed_state != undefined:
-            aloft.append((index, m.landed_state != grounded))
-    words = []
-    states = []
-    for word, said in (("disarmed", armed), ("on the ground", aloft)):
-        if any(value for _, value in said):
-            words.append(word)
-            states.append(Reported(clock, said))
-    note = "in the air: the log never reports armed or airborne, so all samples are used"
-    if words:
-        note = f"in the air: samples taken while {' or '.join(words)} are not used"
-    log.notes.append(note)
-    return lambda time_ms: all(bool(state.values[state.last(time_ms)]) for state in states)
+            said["disarmed"].append((index, bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)))
+        elif m.landed_state != mavlink.MAV_LANDED_STATE_UNDEFINED:
+            said["on the ground"].append((index, m.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND))
+    states = {word: Reported(clock, each) for word, each in said.items() if any(aloft for _, aloft in each)}
+    note = "the log never reports armed or airborne, so all samples are used"
+    if states:
+        note = f"samples taken while {' or '.join(states)} are not used"
+    log.notes.append(f"in the air: {note}")
+    return lambda time_ms: all(bool(state.values[state.last(time_ms)]) for state in states.values())

@@ -21,14 +21,13 @@ from link.access.secret import read_secret
 
 USUAL_PORTS = {"http": ":80", "https": ":443"}
 FILE = "file://"  # the Origin of files, and of programs made like web pages, such as Lichtblick's desktop app
+# WebSocket subprotocols of the page: its own, and one with the word, in base64. It is a header: no log or
+# history keeps it.
 PROTOCOL, WORD = "plumeward", "word."
-"""WebSocket subprotocols of the page: its own, and one with the word, in base64. It is a header: no log or
-history keeps it.
-"""
-WANTED = "read-only: to command, enter the word of --token-file"
-WRONG = "read-only: that is not the word of --token-file"
-LATER = "read-only: a wrong word came from your address a moment ago: wait a second"
-WORD_STATES = {WANTED: "wanted", WRONG: "wrong", LATER: "later"}  # as the page knows them
+WORD_WANTED = "read-only: to command, enter the word of --token-file"
+WORD_WRONG = "read-only: that is not the word of --token-file"
+WORD_LATER = "read-only: a wrong word came from your address a moment ago: wait a second"
+WORD_STATES = {WORD_WANTED: "wanted", WORD_WRONG: "wrong", WORD_LATER: "later"}  # as the page knows them
 IN_FILE = "a file with a word of at least 8 characters in one line"
 SHORTEST = 8
 WRONG_S = 1.0  # an address that gave a wrong word is ignored for this time
@@ -50,8 +49,9 @@ class AccessRules(NamedTuple):
         return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}/"
 
     def allows_host(self, host: str) -> bool:
-        """Whether a Host header is this server's or a proxy's: a page whose name was pointed here (DNS
-        rebinding) has another one.
+        """Whether a Host header is this server's or a proxy's.
+
+        A page whose name was pointed here (DNS rebinding) has another one.
         """
         return self._is_own(host) or any(host.lower() == known.partition("://")[2] for known in self.origins)
 
@@ -73,8 +73,9 @@ class AccessRules(NamedTuple):
         return name == self.host.lower() or (asked is not None and asked == bound)
 
     def allows_origin(self, origin: str | None, host: str) -> bool:
-        """Whether an Origin header, None if there is none, is of the page that this Host header asks for,
-        or of the others allowed.
+        """Whether an Origin header, None if there is none, is allowed.
+
+        It has to be of the page that this Host header asks for, or one of the others.
         """
         if origin is None or origin == FILE:
             return self.programs
@@ -86,8 +87,8 @@ class AccessRules(NamedTuple):
         """Return why a client with this token may only look; empty if it may command."""
         if self.token:
             if not token:
-                return WANTED
-            return "" if hmac.compare_digest(token.encode(), self.token.encode()) else WRONG
+                return WORD_WANTED
+            return "" if hmac.compare_digest(token.encode(), self.token.encode()) else WORD_WRONG
         if is_open(self.host):
             return f"read-only: the page is served on {self.host} without --token-file"
         return "read-only: the page is open to --origin without --token-file" if self.origins else ""
@@ -110,7 +111,7 @@ def origin(text: str) -> str:
             f"{text!r} is not an origin; wanted the beginning of an address, without a path: "
             "https://drone.example:8443"
         )
-    scheme, host, port = match[1], match[2], match[3] or ""
+    scheme, host, port = match.groups(default="")
     return f"{scheme}://{host}{'' if port == USUAL_PORTS.get(scheme) else port}"
 
 
@@ -122,11 +123,11 @@ def word_in(path: Path) -> tuple[str, str]:
 
     If there is no file, makes it, with a new word. Raises ValueError.
     """
+    word = secrets.token_urlsafe(16)
     try:
         with open(path, "x", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:
-            word = secrets.token_urlsafe(16)
             file.write(f"{word}\n")
-            return word, f"{path} is new: it holds the word that allows commands"
+        return word, f"{path} is new: it holds the word that allows commands"
     except FileExistsError:
         word, mode = read_secret(path, IN_FILE)
     except OSError as error:
@@ -154,16 +155,15 @@ class Doorkeeper:
     """
 
     def __init__(self, rules: AccessRules) -> None:
-        """Take the rules; nobody has said anything yet."""
         self._rules = rules
         self._wrong_s: dict[str, float] = {}
 
     def why_no_commands(self, word: str, address: str, now_s: float) -> str:
         """Return why a client at this address that gives this word may only look; empty if it may command."""
         if word and now_s - self._wrong_s.get(address, -math.inf) < WRONG_S:
-            return LATER
+            return WORD_LATER
         why_not = self._rules.why_no_commands(word)
-        if why_not == WRONG:
+        if why_not == WORD_WRONG:
             self._wrong_s.pop(address, None)
             self._wrong_s[address] = now_s
             if len(self._wrong_s) > MOST_WRONG:

@@ -1,9 +1,11 @@
 """`plumeward view`: serves the page of a running stack or of records."""
 
 import argparse
+import asyncio
 import json
 import socket
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -92,65 +94,64 @@ def _gone(_: str) -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until interrupted; a line on stdout says where."""
+    """Serve until interrupted; a line on stdout says where. Raises BadInput."""
     from ground.view.foxglove import HOST
     from ground.view.host import serve
     from link.record.reader import RecordError
 
-    try:
-        _check(args)
-        args.about = _about(args)
-        word, line = _word(args)
-        if line:
-            print(line, file=sys.stderr, flush=True)
-        with _listening("--port", args.host, args.port) as listening:
-            if args.foxglove is None:
-                return serve(args, word, listening)
-            with _listening("--foxglove", HOST, args.foxglove) as local:
-                return serve(args, word, listening, local)
-    except (ValueError, RecordError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+    _check(args)
+    args.about = _about(args)
+    word = _word(args.token_file) if args.token_file else ""
+    with ExitStack() as stack:
+        page = stack.enter_context(_listening("--port", args.host, args.port))
+        asked = args.foxglove is not None
+        local = stack.enter_context(_listening("--foxglove", HOST, args.foxglove)) if asked else None
+        try:
+            return asyncio.run(serve(args, word, page, local))
+        except RecordError as error:
+            raise cli.BadInput(str(error)) from None
 
 
-def _word(args: argparse.Namespace) -> tuple[str, str]:
-    """Return the word that allows commands, and a line for people; empty without one. Raises ValueError."""
+def _word(path: Path) -> str:
+    """Return the word that allows commands, and say what people should know of its file. Raises BadInput."""
     try:
-        return word_in(args.token_file) if args.token_file else ("", "")
+        word, line = word_in(path)
     except ValueError as error:
-        raise ValueError(f"--token-file: {error}") from None
+        raise cli.BadInput(f"--token-file: {error}") from None
+    if line:
+        print(line, file=sys.stderr, flush=True)
+    return word
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Raise ValueError for flags that do not go together."""
+    """Raise BadInput for flags that do not go together."""
     if not args.host:
-        raise ValueError("--host: '' is not allowed; wanted an address of this machine")
+        raise cli.BadInput("--host: '' is not allowed; wanted an address of this machine")
     if len(args.logs) > 2:
-        raise ValueError("LOG: three or more records are not allowed; wanted one, or two to compare")
+        raise cli.BadInput("LOG: three or more records are not allowed; wanted one, or two to compare")
     if args.logs and args.foxglove is not None:
-        raise ValueError("--foxglove: not with LOG: Foxglove opens records itself")
+        raise cli.BadInput("--foxglove: not with LOG: Foxglove opens records itself")
 
 
 def _about(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the description of the run, if one was given. Raises ValueError."""
-    truth = {name: getattr(args, name) for name in ("mission", "seed", "world")}
-    truth = {name: value for name, value in truth.items() if value is not None}
+    """Return the description of the run, if one was given. Raises BadInput."""
+    truth = {name: args.given[name] for name in ("mission", "seed", "world") if name in args.given}
     if not truth:
         return args.about or {}
     if args.logs:
-        raise ValueError(f"--{next(iter(truth))}: not with LOG: a record holds its own truth")
-    script = load(truth.pop("mission")) if args.mission else Script()
-    script = script.changed(truth)
+        raise cli.BadInput(f"--{next(iter(truth))}: not with LOG: a record holds its own truth")
+    mission = load(truth.pop("mission")) if args.mission else Script()
+    script = mission.changed(truth)
     about = {"mission": script, "scenario": script.simulated().truth, "seed": script.seed}
-    described: dict[str, Any] = msgspec.to_builtins(about)
-    return described
+    return dict(msgspec.to_builtins(about))
 
 
 def _listening(flag: str, host: str, port: int) -> socket.socket:
-    """Return a socket that listens on a port, 0 for any free one. Raises ValueError."""
+    """Return a socket that listens on a port, 0 for any free one. Raises BadInput."""
     try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        return socket.create_server((host, port), family=family, backlog=64)
+        return socket.create_server(
+            (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET, backlog=64
+        )
     except OSError as error:
         reason = str(error.strerror).partition(" (while")[0]
-        raise ValueError(f"{flag}: cannot serve on {host} port {port}: {reason}") from None
+        raise cli.BadInput(f"{flag}: cannot serve on {host} port {port}: {reason}") from None

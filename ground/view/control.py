@@ -1,6 +1,4 @@
-"""Commands of an operator to a vehicle on the bus, as any ground station sends them, and the vehicle's
-answers.
-"""
+"""Commands of an operator to a vehicle on the bus, as any ground station sends them, and its answers."""
 
 import asyncio
 import time
@@ -22,16 +20,18 @@ from aircraft.operator import (
 )
 from ground.view.live import LiveVehicle
 from link.bus.frames import Frame
-from link.bus.mavlink import BadFrame, Codec, Message, Texts
+from link.bus.mavlink import BadFrame, Codec, Texts
 from link.modes import Mode, meaning
 from scene.follow.area import HEARTBEAT
 from scene.follow.telemetry import TEXT, frames
 
+# Commands that wait for nothing: they replace one that is not answered yet.
 URGENT: tuple[CommandName, ...] = ("return", "land")
-"""Commands that wait for nothing: they replace one that is not answered yet."""
 AGAIN_S = 0.4  # time after which a command that nobody has acknowledged is sent again
 ANSWER_S = TRIES * AGAIN_S  # longest time without an acknowledgement
 LOOK_S = 0.05  # longest time between two looks at a command that is not over
+# Systems and components that an acknowledgement to us is for: 0 is everybody.
+TO_US = {(system, component) for system in (0, OPERATOR_IDS[0]) for component in (0, OPERATOR_IDS[1])}
 ACK = mavlink.MAVLINK_MSG_ID_COMMAND_ACK
 
 
@@ -46,18 +46,12 @@ class Awaited:
     """One command and what its vehicle says meanwhile. Its times are of one clock, s."""
 
     def __init__(self, name: CommandName, system: int, component: int = AUTOPILOT) -> None:
-        """Begin with a command to a component of the vehicle: its simulated autopilot, or the search that
-        flies a real one.
-        """
+        """Begin with a command to a component: the simulated autopilot, or the search of a real one."""
         self._name, self._system, self._component = name, system, component
-        self._run = CommandRun(order(name, system, component), self._seen, lambda: self._reason, AGAIN_S)
+        self.run = CommandRun(order(name, system, component), self._seen, lambda: self._reason, AGAIN_S)
         self._texts = Texts()
         self._reason = self._mode = ""
         self._armed = True
-
-    def send(self, now_s: float) -> Message | None:
-        """Return the copy of the command that is due."""
-        return self._run.send(now_s)
 
     def hears(self, payload: bytes, now_s: float) -> None:
         """Take a payload of telemetry. The reason of a refusal is the text that follows it."""
@@ -68,13 +62,13 @@ class Awaited:
                     self._armed = bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                 elif frame.message_id == TEXT:
                     text = self._texts.joined(fields["text"], fields["id"], fields["chunk_seq"])
-                    self._reason = text if text and self._run.refused else self._reason
-                elif _to_us(fields["target_system"], fields["target_component"]):
-                    self._run.acknowledged(fields["command"], fields["result"], now_s)
+                    self._reason = text if text and self.run.refused else self._reason
+                elif (fields["target_system"], fields["target_component"]) in TO_US:
+                    self.run.acknowledged(fields["command"], fields["result"], now_s)
 
     def over(self, now_s: float) -> CommandAnswer | None:
         """Return the answer once it is known."""
-        if (result := self._run.over(now_s)) is None:
+        if (result := self.run.over(now_s)) is None:
             return None
         reason = f"{NO_ANSWER} within {ANSWER_S:g} s" if result.reason == NO_ANSWER else result.reason
         return CommandAnswer(result.accepted, reason)
@@ -85,21 +79,16 @@ class Awaited:
         return (frame.system, frame.component) == (self._system, speaker)
 
     def _seen(self) -> bool:
-        """Whether the vehicle does it; once it has accepted, also whether it is through with it: a return
-        ends as a landing, motors off.
+        """Whether the vehicle does it, or once it has accepted, is through with it.
 
-        A real vehicle that is given back has to accept it: a pilot may fly it in the very mode in which the
-        search does.
+        A return ends as a landing, motors off. A real vehicle that is given back has to accept it: a pilot
+        may fly it in the very mode in which the search does.
         """
         given_back = self._name == "resume" and self._component == SEARCH
-        if self._mode == MODES_WANTED[self._name].name and (self._run.accepted or not given_back):
+        if self._mode == MODES_WANTED[self._name].name and (self.run.accepted or not given_back):
             return True
         landing = self._name == "return" and self._mode == Mode.LAND.name
-        return self._run.accepted and (landing or not self._armed)
-
-
-def _to_us(system: int, component: int) -> bool:
-    return system in (0, OPERATOR_IDS[0]) and component in (0, OPERATOR_IDS[1])
+        return self.run.accepted and (landing or not self._armed)
 
 
 async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
@@ -123,7 +112,7 @@ async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
     vehicle.listeners.add(listener)
     try:
         while (answer := awaited.over(time.monotonic())) is None:
-            if copy := awaited.send(time.monotonic()):
+            if copy := awaited.run.send(time.monotonic()):
                 vehicle.send(codec.pack(copy))
             with suppress(TimeoutError):
                 async with asyncio.timeout(LOOK_S):

@@ -20,24 +20,24 @@ import msgspec
 from msgspec import Meta
 from starlette.applications import Starlette
 from starlette.routing import WebSocketRoute
+from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from ground.view.access import AccessRules
-from ground.view.serving import Asgi, converse, guarded
+from ground.view.serving import converse, guarded
 from link.bus.messages import Belief
 from link.record.decoded import struct_schema
 from scene.foxglove import SceneEncoder, schema_of
 from scene.scene import Measurement, Scene
 
 HOST = "127.0.0.1"
-BELIEF = "belief"
-"""Topic of the readings and what was believed after them, as JSON with the names that a record has: one
-layout plots both.
-"""
+# Topic of the readings and what was believed after them, as JSON with the names that a record has: one
+# layout plots both.
+BELIEF_TOPIC = "belief"
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # the protocol's names, the newer first
 MESSAGE = struct.Struct("<BIQ")  # before a message: 1, the viewer's number for its topic, ns since 1970
 MOST_VIEWERS = 20
-MOST_WAITING = 256  # messages for a viewer that reads slowly; more take the place of the oldest
+MOST_UNREAD = 256  # messages for a viewer that reads slowly; more take the place of the oldest
 LONGEST_REQUEST = 65536  # bytes of a message from a viewer
 Number = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Said = tuple[int, bytes]  # time, ns since 1970, and data of a message
@@ -80,7 +80,7 @@ class LiveFoxglove:
         """What to enter in Foxglove: ws://127.0.0.1:8765."""
         return f"ws://{HOST}:{self._rules.port}"
 
-    def app(self) -> Asgi:
+    def app(self) -> ASGIApp:
         """Return the application."""
         return guarded(Starlette(routes=[WebSocketRoute("/", self._join)]), self._rules)
 
@@ -93,7 +93,7 @@ class LiveFoxglove:
         last = scene.measurements[-1] if scene.measurements else None
         if last is not None and last is not self._measurements.get(vehicle):
             self._measurements[vehicle] = last
-            said.append((prefix + BELIEF, Belief, _belief(last)))
+            said.append((prefix + BELIEF_TOPIC, Belief, _belief(last)))
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._say, now_ns, said)
 
@@ -125,7 +125,7 @@ class _Viewer:
     def __init__(self, socket: WebSocket, topics: dict[str, dict[str, Any]], newest: dict[str, Said]) -> None:
         self._socket, self._topics, self._newest = socket, topics, newest
         self._numbers: dict[str, int] = {}  # the viewer's own, of each topic that it wants
-        self._waiting: deque[bytes] = deque(maxlen=MOST_WAITING)
+        self._waiting: deque[bytes] = deque(maxlen=MOST_UNREAD)
         self._wake = asyncio.Event()
 
     def take(self, topic: str) -> None:
@@ -175,16 +175,14 @@ def _announced(kind: Any) -> dict[str, str]:
 
 
 def _belief(said: Measurement) -> bytes:
-    fields: dict[str, Any] = {
+    fields = {
         "step": said.step,
         "simulation_s": said.time_s,
         "position": said.position,
-        "gas": said.gas,
+        **({"gas": said.gas} if math.isfinite(said.gas) else {}),  # JSON knows no NaN
         "spread": said.spread_m,
         "mean": said.estimate,
         "covariance": said.covariance,
         "ceased": said.ceased,
     }
-    if not math.isfinite(said.gas):
-        del fields["gas"]  # JSON knows no NaN
     return json.dumps(fields).encode()

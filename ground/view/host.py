@@ -5,7 +5,6 @@ import asyncio
 import contextlib
 import signal
 import socket
-import sys
 import threading
 import time
 import webbrowser
@@ -19,6 +18,7 @@ from ground.view.serving import server_of
 from link import cli
 from link.early import INTERRUPTED, ends
 from link.interrupts import let_go_of_the_terminal
+from link.terminal import tell
 
 FIRST_PAGE_S = 30.0  # how long the page of a mission that is over waits for its first browser
 RELOAD_S = 3.0  # how long it waits for a browser to come back, which may be loading it again
@@ -26,17 +26,12 @@ STREAM_EVERY_S = 0.05  # shortest time between two scenes for Foxglove
 OVER = signal.SIGUSR1  # the launcher's signal that the mission is over
 
 
-def serve(
-    args: argparse.Namespace, word: str, page: socket.socket, local: socket.socket | None = None
-) -> int:
-    """Serve the page, and Foxglove if there is a socket for it, until interrupted. Returns the exit status.
-    Raises RecordError.
+async def serve(args: argparse.Namespace, word: str, page: socket.socket, local: socket.socket | None) -> int:
+    """Serve the page, and Foxglove if there is a socket for it, until interrupted.
+
+    Returns the exit status. Raises RecordError.
     """
-
-    async def served() -> int:
-        return await Host(args, word, page, local).run()
-
-    return asyncio.run(served())
+    return await Host(args, word, page, local).run()
 
 
 class Host:
@@ -55,9 +50,9 @@ class Host:
         if args.logs:
             self._shown = RecordedFleet(args.logs)
             if self._shown.notice:
-                _say(f"warning: {self._shown.notice}")
+                tell(f"warning: {self._shown.notice}")
         else:
-            self._shown = LiveFleet(args.connect, args.about, self._changed, _say, args.secure)
+            self._shown = LiveFleet(args.connect, args.about, self._changed, tell, args.secure)
         origins = tuple(map(origin, args.origin))
         rules = AccessRules(args.host, page.getsockname()[1], word, origins)
         self._address = rules.address
@@ -91,8 +86,7 @@ class Host:
 
     def _end(self, status: int) -> None:
         let_go_of_the_terminal()
-        damaged = isinstance(self._shown, RecordedFleet) and self._shown.damaged
-        self._status = cli.FAILED if damaged else status
+        self._status = cli.FAILED if self._shown.damaged else status
         self._ended.set()
 
     def _changed(self) -> None:
@@ -110,7 +104,7 @@ class Host:
         self._pages.bye = "the mission is over"
         self._pages.news()
         first_until = time.monotonic() + FIRST_PAGE_S
-        while self._pages.watched or time.monotonic() < (
+        while self._pages.clients or time.monotonic() < (
             first_until if self._pages.left_at is None else self._pages.left_at + RELOAD_S
         ):
             await asyncio.sleep(0.1)
@@ -125,12 +119,8 @@ class Host:
                     await asyncio.to_thread(stream.show, scene)
                 await asyncio.sleep(STREAM_EVERY_S)
         except Exception as error:  # nobody awaits it
-            _say(f"error: Foxglove gets no more scenes: {type(error).__name__}: {error}")
+            tell(f"error: Foxglove gets no more scenes: {type(error).__name__}: {error}")
             self._end(cli.FAILED)
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def _open(address: str) -> None:
@@ -138,4 +128,4 @@ def _open(address: str) -> None:
     try:
         webbrowser.open(address)
     except (OSError, webbrowser.Error) as error:
-        _say(f"warning: --open: no browser shows {address}: {error}")
+        tell(f"warning: --open: no browser shows {address}: {error}")

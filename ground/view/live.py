@@ -6,6 +6,7 @@ The bus's thread only takes messages. Whoever asks first for a new version of a 
 others get the same one.
 """
 
+import math
 import re
 import threading
 import time
@@ -25,24 +26,22 @@ from link.bus.opening import NoRouter
 from link.bus.session import Arrival, Bus
 from link.record.record import SimulationClock
 from link.record.tap import Tap
-from scene.follow.recorded import begun
+from scene.follow.history import begun
 from scene.scene import Scene
 
-COMMANDS = replace(MAVLINK_IN, delivery=replace(MAVLINK_IN.delivery, blocking=False))
-"""Commands go out now or never: what waited here would go out late, when nobody wants it any more. They
-are sent again anyway.
-"""
+# Commands go out now or never: what waited here would go out late, when nobody wants it any more. They are
+# sent again anyway.
+COMMAND_KEY = replace(MAVLINK_IN, delivery=replace(MAVLINK_IN.delivery, blocking=False))
+# A namespace and its slash. A token may also be for a pattern of keys, such as uav/*: that is no vehicle.
 NAMESPACE = re.compile(r"[^*$\x00-\x1f\x7f]{1,200}/")
-"""A namespace and its slash. A token may also be for a pattern of keys, such as uav/*: that is no vehicle.
-"""
+CROWDED = f"warning: more than {MOST_VEHICLES} vehicles on the router; only the first ones are shown"
 MOST_CHANGES = 10_000  # changes that wait; beyond that the oldest are dropped
 EVERY_S = 0.01  # how often messages are taken
 LOOK_S = 0.2  # how often it looks for the router, and tries again to join it
-CONNECT_TIMEOUT_S = 1.0
+CONNECT_TIMEOUT_MS = 1000
+# A part that is back within this time was not gone; a router that is back gets as long to name the parts
+# that it knows.
 GONE_AFTER_S = 0.5
-"""A part that is back within this time was not gone; a router that is back gets as long to name the parts
-that it knows.
-"""
 JUDGE_S = 1.0  # longest time between two versions of what there is to see: silent parts are judged anew
 
 
@@ -55,8 +54,9 @@ class Presence(NamedTuple):
 
 
 class Roster(Bus):
-    """An observer of a whole router, without a namespace of its own: it sees the services of every
-    namespace by their liveliness tokens.
+    """An observer of a whole router, without a namespace of its own.
+
+    It sees the services of every namespace by their liveliness tokens.
     """
 
     def __init__(self, connect: str, secure: Path | None = None) -> None:
@@ -67,7 +67,7 @@ class Roster(Bus):
             None,
             announced=False,
             secure=secure,
-            connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S),
+            connect__timeout_ms=CONNECT_TIMEOUT_MS,
         )
         self._changes: deque[Presence] = deque(maxlen=MOST_CHANGES)
         tokens = f"**/{HEALTH.name.replace('<service>', '*')}"
@@ -91,8 +91,8 @@ class Roster(Bus):
         return [self._changes.popleft() for _ in range(len(self._changes))]
 
 
+# A scene, which mission it is of, and when the newest message in it was published, ms since 1970.
 Built = tuple[Scene, object, float | None]
-"""A scene, which mission it is of, and when the newest message in it was published, ms since 1970."""
 
 
 class LiveVehicle:
@@ -111,9 +111,14 @@ class LiveVehicle:
         self._built: tuple[int, Built] | None = None
         self._judge_at = 0.0
         self._alive: dict[str, bool] = {}
-        timeout_ms = round(1000 * CONNECT_TIMEOUT_S)
         self._bus = Tap(
-            "view", router, name, "error", announced=False, secure=secure, connect__timeout_ms=timeout_ms
+            "view",
+            router,
+            name,
+            "error",
+            announced=False,
+            secure=secure,
+            connect__timeout_ms=CONNECT_TIMEOUT_MS,
         )
         self._bus.subscribe(*KEYS)
 
@@ -129,14 +134,12 @@ class LiveVehicle:
         }
 
     def scene(self, _at_s: float | None = None) -> Built:
-        """Return the newest scene, which of its missions it is of, and when the newest message in it was
-        published, ms since 1970.
-        """
+        """Return the newest scene, its mission, and when the newest message in it was published."""
         with self._lock:
             if self._built is None or self._built[0] != self.version:
-                history = self.history
-                scene = history.at(wall_s=self._frozen_s or time.time())
-                self._built = self.version, (scene, history.missions, 1000 * history.wall_s or None)
+                scene = self.history.at(wall_s=self._frozen_s or time.time())
+                published_ms = 1000 * self.history.wall_s or None
+                self._built = self.version, (scene, self.history.missions, published_ms)
             return self._built[1]
 
     @property
@@ -146,15 +149,13 @@ class LiveVehicle:
 
     @property
     def commanded(self) -> int:
-        """The component that obeys an operator's words: the simulated autopilot, or the search that flies
-        a real one.
-        """
+        """The component that obeys an operator: the simulated autopilot, or the search of a real one."""
         return SEARCH if self.history.is_real else AUTOPILOT
 
     def send(self, payload: bytes) -> None:
         """Publish on `mavlink/in`. It does not wait."""
         if self._frozen_s is None:
-            self._bus.publish(COMMANDS, payload)
+            self._bus.publish(COMMAND_KEY, payload)
 
     # ---- in the bus's thread ----
 
@@ -179,13 +180,13 @@ class LiveVehicle:
             message.name, message.payload, message.attachment, time_s, message.published_ns / 1e9
         )
 
-    def lives(self, service: str, alive: bool) -> bool:
-        """Take that a part appeared or is gone; returns whether any is here."""
+    def lives(self, service: str, alive: bool) -> None:
+        """Take that a part appeared or is gone. The vehicle is here as long as one of them is."""
         with self._lock:
             self._alive[service] = alive
+            self.here = any(self._alive.values())
             self.history.lives(service, alive, time.time())
             self.version += 1
-        return any(self._alive.values())
 
     def close(self) -> None:
         """Leave its bus and keep what there is to see as it is now."""
@@ -197,6 +198,8 @@ class LiveVehicle:
 
 class LiveFleet:
     """All vehicles on a router."""
+
+    damaged = False  # no record
 
     def __init__(
         self,
@@ -228,14 +231,10 @@ class LiveFleet:
         self._thread = threading.Thread(target=self._run, args=(roster,), name="bus", daemon=True)
         self._thread.start()
 
-    def entries(self) -> list[dict[str, Any]]:
-        """Return the list of vehicles."""
-        return [vehicle.entry() for vehicle in tuple(self.vehicles.values())]
-
     def end(self) -> None:
         """Leave the bus. What there is to see stays as it is."""
         self._ended.set()
-        self._thread.join(CONNECT_TIMEOUT_S + 1.0)
+        self._thread.join(CONNECT_TIMEOUT_MS / 1000 + 1.0)
 
     # ---- the router ----
 
@@ -271,15 +270,15 @@ class LiveFleet:
     def _follow(self, roster: Roster) -> None:
         joining: deque[Presence] = deque()
         connected_since = look_at = join_at = time.monotonic()
-        connected = True
         while not self._ended.wait(EVERY_S):
             now_s = time.monotonic()
             if now_s >= look_at:
                 look_at = now_s + LOOK_S
-                if roster.connected and not connected:
+                if not roster.connected:
+                    connected_since = math.inf
+                elif math.isinf(connected_since):
                     connected_since = now_s
-                connected = roster.connected
-                gone = "" if connected else f"the router at {self._router} is gone: waiting for it"
+                gone = "" if roster.connected else f"the router at {self._router} is gone: waiting for it"
                 self._tell((self._lack() if gone or joining else "") or gone)
             joining.extend(roster.changes())
             while joining and now_s >= join_at:
@@ -287,7 +286,7 @@ class LiveFleet:
                     joining.popleft()
                 else:
                     join_at = now_s + LOOK_S
-            if connected and now_s - connected_since >= GONE_AFTER_S:
+            if now_s - connected_since >= GONE_AFTER_S:
                 self._bury(now_s)
             if any([vehicle.follow() for vehicle in self.vehicles.values()]):
                 self._changed()
@@ -325,8 +324,7 @@ class LiveFleet:
         self._missed_s.pop((name, service), None)
         if name not in self.vehicles and len(self.vehicles) >= MOST_VEHICLES:
             if not self._crowded:
-                what = f"more than {MOST_VEHICLES} vehicles on the router"
-                self._say(f"warning: {what}; only the first ones are shown")
+                self._say(CROWDED)
             self._crowded = True
             return True
         if name not in self.vehicles:
@@ -336,7 +334,6 @@ class LiveFleet:
                 return False
             self.vehicles = {**self.vehicles, name: vehicle}
         self.vehicles[name].lives(service, True)
-        self.vehicles[name].here = True
         self._list_changed()
         return True
 
@@ -349,5 +346,5 @@ class LiveFleet:
         for (name, service), since_s in tuple(self._missed_s.items()):
             if now_s - since_s >= GONE_AFTER_S:
                 del self._missed_s[name, service]
-                self.vehicles[name].here = self.vehicles[name].lives(service, False)
+                self.vehicles[name].lives(service, False)
                 self._list_changed()

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from link.record.reader import read
-from scene.follow.history import History
-from scene.follow.recorded import history_of, remark_on
+from scene.follow.history import History, history_of, remark_on
 from scene.scene import Scene
 
 
@@ -17,7 +16,6 @@ class RecordedVehicle:
     version = 0
 
     def __init__(self, name: str, history: History) -> None:
-        """Take all that the record tells."""
         self.name = name
         self._history = history
 
@@ -39,8 +37,9 @@ class RecordedVehicle:
         }
 
     def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:
-        """Return the scene at a simulation time, by default the last one, and which mission it is of; a
-        record is not published.
+        """Return the scene at a simulation time, by default the last one, and which mission it is of.
+
+        A record is not published.
         """
         return self._history.at(math.inf if at_s is None else at_s), self._history.missions, None
 
@@ -64,10 +63,6 @@ class RecordedFleet:
             if remark := remark_on(recording, history):
                 remarks.append(f"the record {name} {remark}")
         self.notice = "; ".join(remarks)  # what people should know of the files
-
-    def entries(self) -> list[dict[str, Any]]:
-        """Return the list of vehicles."""
-        return [vehicle.entry() for vehicle in self.vehicles.values()]
 
     def end(self) -> None:
         """Nothing is open."""

@@ -15,6 +15,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from aircraft.operator import CommandName
@@ -22,7 +23,7 @@ from ground.view.access import PROTOCOL, WORD_STATES, AccessRules, Doorkeeper, w
 from ground.view.control import URGENT, CommandAnswer, operate
 from ground.view.live import LiveFleet, LiveVehicle
 from ground.view.records import RecordedFleet, RecordedVehicle
-from ground.view.serving import TRY_AGAIN_LATER, Asgi, converse, guarded
+from ground.view.serving import TRY_AGAIN_LATER, converse, guarded
 from ground.view.wire import Sent, packed
 from plume import __version__
 
@@ -31,6 +32,7 @@ MOST_CLIENTS = 20  # pages that may command, and pages that may only look
 LONGEST_MESSAGE = 4096  # bytes of a message from the page
 EVERY_S = 1 / 30  # shortest time between two live scenes of a vehicle
 MOST_COMMANDS, COMMANDS_S = 5, 1.0  # commands of a page within a time; more are refused, but for urgent ones
+TOO_MANY = f"more than {MOST_COMMANDS} commands within {COMMANDS_S:g} s: wait a moment"
 MOST_ANSWERS = 100  # a page that leaves this many answers to its commands unread is closed
 UNDRAWN_S = 1.0  # after this long the next scene is sent, though the last one was not drawn
 
@@ -61,16 +63,15 @@ class PageServer:
     """Serves one list of vehicles to many pages."""
 
     def __init__(self, shown: Fleet, rules: AccessRules) -> None:
-        """Take what to show and who may do what."""
         self._shown = shown
         self._rules = rules
         self._door = Doorkeeper(rules)
-        self._clients: set[Client] = set()
+        self.clients: set[Client] = set()  # the pages that are connected
         self._commanded: dict[str, tuple[CommandName, asyncio.Task[CommandAnswer]]] = {}  # last, by vehicle
         self.bye = ""  # set when there will be nothing new to say; pages keep what they show
         self.left_at: float | None = None  # when the last page went, by time.monotonic()
 
-    def app(self) -> Asgi:
+    def app(self) -> ASGIApp:
         """Return the application."""
         routes = [
             Route("/", self._index),
@@ -81,14 +82,9 @@ class PageServer:
         app.router.redirect_slashes = False  # it fails on a query that is not UTF-8
         return guarded(app, self._rules)
 
-    @property
-    def watched(self) -> bool:
-        """Whether a page is connected."""
-        return bool(self._clients)
-
     def news(self) -> None:
         """Wake all connections: there may be something new to see."""
-        for client in self._clients:
+        for client in self.clients:
             client.wake.set()
 
     async def _index(self, _request: Request) -> Response:
@@ -100,14 +96,14 @@ class PageServer:
         address = socket.client.host if socket.client else ""
         why_not = self._door.why_no_commands(word_of(offered), address, time.monotonic())
         client = Client(socket, self, self._shown, why_not)
-        if sum(other.may_command == client.may_command for other in self._clients) >= MOST_CLIENTS:
+        if sum(other.may_command == client.may_command for other in self.clients) >= MOST_CLIENTS:
             await socket.close(TRY_AGAIN_LATER, f"{MOST_CLIENTS} pages are open; close one of them")
             return
-        self._clients.add(client)
+        self.clients.add(client)
         try:
             await client.run()
         finally:
-            self._clients.discard(client)
+            self.clients.discard(client)
             self.left_at = time.monotonic()
 
     async def order(self, name: CommandName, to: str) -> CommandAnswer:
@@ -181,8 +177,7 @@ class Client:
         if self._why_not:
             answered(CommandAnswer(False, self._why_not))
         elif name not in URGENT and now_s - self._ordered_s[0] < COMMANDS_S:
-            words = f"more than {MOST_COMMANDS} commands within {COMMANDS_S:g} s: wait a moment"
-            answered(CommandAnswer(False, words))
+            answered(CommandAnswer(False, TOO_MANY))
         else:
             if name not in URGENT:
                 self._ordered_s.append(now_s)
@@ -193,20 +188,24 @@ class Client:
     # ---- to the page ----
 
     async def _speak(self) -> None:
-        hello = {
-            "live": self._live,
-            "may_command": self.may_command,
-            "why_not": self._why_not,
-            "word": WORD_STATES.get(self._why_not, ""),
-            "version": __version__,
-        }
-        await self._say({"hello": hello})
+        await self._say(
+            {
+                "hello": {
+                    "live": self._live,
+                    "may_command": self.may_command,
+                    "why_not": self._why_not,
+                    "word": WORD_STATES.get(self._why_not, ""),
+                    "version": __version__,
+                }
+            }
+        )
         listed, bye_said = None, False
         while True:
             self.wake.clear()
             if listed != self._shown.list_version:
                 listed = self._shown.list_version
-                await self._say({"vehicles": self._shown.entries(), "notice": self._shown.notice})
+                rows = [vehicle.entry() for vehicle in self._shown.vehicles.values()]
+                await self._say({"vehicles": rows, "notice": self._shown.notice})
             while self._answers:
                 await self._say(self._answers.popleft())
             bye, vehicles = self._server.bye, self._shown.vehicles
@@ -229,8 +228,7 @@ class Client:
         what = self._what(vehicle)
         if what == sent.what:
             return UNDRAWN_S
-        pause_s = EVERY_S if self._live else 0.0
-        due_s = sent.at_s + (pause_s if sent.drawn else UNDRAWN_S)
+        due_s = sent.at_s + (UNDRAWN_S if not sent.drawn else EVERY_S if self._live else 0.0)
         if now_s < due_s:
             return due_s - now_s
         self._number += 1

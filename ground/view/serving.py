@@ -1,26 +1,23 @@
-"""How the page and the stream for Foxglove are served: who is refused, how many may wait, and when a slow
-client is gone.
+"""How the page and the stream for Foxglove are served.
+
+Who is refused, how many may wait, and when a slow client is gone.
 """
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable, Coroutine, MutableMapping
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 import msgspec
 import uvicorn
 from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from ground.view.access import AccessRules
-
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-Asgi = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 HEADERS = {
     b"content-security-policy": b"default-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -38,7 +35,7 @@ UNREADABLE = (ValueError, msgspec.DecodeError, RecursionError)  # what reading a
 TRY_AGAIN_LATER, POLICY = 1013, 1008  # reasons for closing a WebSocket, by its standard's numbers
 
 
-def guarded(app: Asgi, rules: AccessRules) -> Asgi:
+def guarded(app: ASGIApp, rules: AccessRules) -> ASGIApp:
     """Return the app behind its checks.
 
     Strangers get 403 and a line that says why. Every answer has HEADERS. A client that is too slow to read
@@ -46,7 +43,7 @@ def guarded(app: Asgi, rules: AccessRules) -> Asgi:
     """
 
     async def checked(scope: Scope, receive: Receive, send: Send) -> None:
-        async def answer(message: MutableMapping[str, Any]) -> None:
+        async def answer(message: Message) -> None:
             if message["type"].endswith("http.response.start"):
                 message = {**message, "headers": [*message["headers"], *HEADERS.items()]}
             async with asyncio.timeout(SEND_S if scope["type"] == "websocket" else None):
@@ -89,9 +86,8 @@ async def converse(
             try:
                 hear(received.get("text") or received.get("bytes") or b"")
             except UNREADABLE as error:
-                reason = (
-                    str(error).encode()[:120].decode(errors="ignore")
-                )  # a WebSocket has room for 123 bytes
+                # A WebSocket has room for 123 bytes.
+                reason = str(error).encode()[:120].decode(errors="ignore")
                 break
             await asyncio.sleep(0)  # a flood from one client leaves the others their turn
         raise WebSocketDisconnect
@@ -110,8 +106,9 @@ async def converse(
 
 
 def _make_room(connections: set[Any]) -> None:
-    """Cut the oldest connection that is no page, if there are too many: those that have asked for nothing
-    yet, or that only get files or a refusal.
+    """Cut the oldest connection that is no page, if there are too many.
+
+    They have asked for nothing yet, or only get files or a refusal.
     """
     waiting = [each for each in connections if each.waiting_since]
     if len(waiting) > MOST_WAITING:
@@ -145,7 +142,7 @@ class PageSocket(WebSocketsSansIOProtocol):
         self.loop.call_later(SEND_S, self.transport.abort)
 
 
-def server_of(app: Asgi, longest_message: int, *, proxied: bool) -> uvicorn.Server:
+def server_of(app: ASGIApp, longest_message: int, *, proxied: bool) -> uvicorn.Server:
     """Return a server of an app that leaves signals and logs to its caller.
 
     Messages of clients are limited in bytes.

@@ -1,5 +1,6 @@
-"""A scene as the page reads it: one binary message with a JSON header and float32 arrays, and only what
-the page does not have yet.
+"""A scene as the page reads it: one binary message with a JSON header and float32 arrays.
+
+It has only what the page does not have yet.
 """
 
 import math
@@ -31,11 +32,6 @@ class Sent:
     scatter: Scatter | None = None
     release: Release | None = None
 
-    def begin(self, mission: object) -> None:
-        """Start anew with another mission."""
-        self.mission, self.scatter, self.release = mission, None, None
-        self.measurements = self.happenings = self.track = 0
-
 
 def packed(
     scene: Scene,
@@ -58,7 +54,8 @@ def packed(
     arrays: list[tuple[dict[str, Any], Floats]] = []
     begins = sent.mission != mission
     if begins:
-        sent.begin(mission)
+        sent.mission, sent.scatter, sent.release = mission, None, None
+        sent.measurements = sent.happenings = sent.track = 0
     if begins or scene.scatter is not sent.scatter:
         arrays.append(({"name": "particles"}, _particles(scene.scatter)))
     track_from = min(sent.track, len(scene.track))

@@ -1,5 +1,6 @@
-"""Where a vehicle is in the search area's frame, whose corner is home; its LOCAL_POSITION_NED is in a
-frame of its own.
+"""Where a vehicle is in the search area's frame, whose corner is home.
+
+Its LOCAL_POSITION_NED is in a frame of its own.
 """
 
 import math
@@ -10,11 +11,12 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.modes import ARDUPILOT
 from plume.geodesy import home_from
 
-HEARTBEAT, ORIGIN, HOME, EXTENDED = 0, 49, 242, 245
-"""HEARTBEAT, GPS_GLOBAL_ORIGIN, HOME_POSITION and EXTENDED_SYS_STATE."""
-PLACING = {HEARTBEAT, ORIGIN, HOME, EXTENDED}  # the messages that tell where the area lies
+# HEARTBEAT, GPS_GLOBAL_ORIGIN and HOME_POSITION.
+HEARTBEAT, ORIGIN, HOME = 0, 49, 242
+# The messages that tell where the area lies: these, and EXTENDED_SYS_STATE.
+PLACING = {HEARTBEAT, ORIGIN, HOME, mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE}
+# What a HEARTBEAT says of a vehicle that stands, where there is no EXTENDED_SYS_STATE.
 GROUNDED = {mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_STANDBY}
-"""What a HEARTBEAT says of a vehicle that stands, where there is no EXTENDED_SYS_STATE."""
 
 Fix = tuple[float, float, float]  # latitude and longitude, degrees, and altitude above sea, m
 Ned = tuple[float, float, float]  # (north, east, down) m
@@ -29,7 +31,6 @@ class AreaFrame:
     """
 
     def __init__(self) -> None:
-        """Know of nothing."""
         self._autopilot = -1
         self.forget()
 
@@ -72,8 +73,9 @@ class AreaFrame:
         return self.corner != before
 
     def place(self, local: dict[str, Any]) -> tuple[float, float, float] | None:
-        """Return (x, y) and height above home, m, of a LOCAL_POSITION_NED; None where it cannot be told,
-        or is not finite.
+        """Return (x, y) and height above home, m, of a LOCAL_POSITION_NED.
+
+        None where it cannot be told, or is not finite.
         """
         if (corner := self.corner) is None:
             return None

@@ -31,23 +31,27 @@ class WindTurn(NamedTuple):
 
 
 def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int | None]:
-    """Return the backdrop and the budget, from a run's own description; what it does not tell, or not in
-    this version, is left out.
+    """Return the backdrop and the budget, from a run's own description.
+
+    What it does not tell, or not in this version, is left out.
     """
     release = None
     with suppress(KeyError, msgspec.ValidationError):
         release = Release.of(msgspec.convert(about["scenario"], Scenario))
     policy, budget = about.get("policy"), about.get("budget")
-    title = f"{policy}, seed {about.get('seed')}" if policy is not None else ""
-    name = vehicle or str(about.get("namespace", "vehicle"))
-    return Backdrop(name, title=title, release=release), budget if isinstance(budget, int) else None
+    backdrop = Backdrop(
+        vehicle or str(about.get("namespace", "vehicle")),
+        title=f"{policy}, seed {about.get('seed')}" if policy is not None else "",
+        release=release,
+    )
+    return backdrop, budget if isinstance(budget, int) else None
 
 
 def turns_of(about: dict[str, Any]) -> list[WindTurn] | None:
-    """Return the changes of the wind that a run's mission script has; one that is not as scripts have it
-    is left out.
+    """Return the changes of the wind that a run's mission script has.
 
-    None if the plume blew with the wind that a real vehicle reported.
+    One that is not as scripts have it is left out. None if the plume blew with the wind that a real vehicle
+    reported.
     """
     if "vehicle" in about:
         return None

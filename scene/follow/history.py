@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -16,9 +16,10 @@ from link.bus.mavlink import Texts, continued, unpack_reading
 from link.bus.messages import Belief, Health, Stop, unpack_particles
 from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
+from link.record.reader import Recording
 from link.record.record import HEALTH_PREFIX, began_s
 from scene.follow.area import HEARTBEAT, PLACING, AreaFrame
-from scene.follow.described import WindTurn
+from scene.follow.described import WindTurn, backdrop_of, turns_of
 from scene.follow.parts import LONGEST, Parts
 from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, frames, level_of, seen, waypoint
 from scene.follow.timed import MOST, Timed, Trail
@@ -42,14 +43,6 @@ RESTART_MS = 1000  # a vehicle whose own time goes back by more was started agai
 NOWHERE = math.nan, math.nan
 
 
-class _Packed(NamedTuple):
-    """Particles as they came."""
-
-    payload: bytes
-    unknowns: tuple[str, ...]
-    estimate: Point
-
-
 class History:
     """What was said on the bus of one vehicle.
 
@@ -64,9 +57,9 @@ class History:
         turns: Sequence[WindTurn] | None = (),
         whole: bool = True,
     ) -> None:
-        """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the
-        newest ones.
+        """Begin.
 
+        whole: keep what scrubbing needs, each pose and each belief's particles; else only the newest ones.
         turns: the changes of the backdrop's wind, in order; None: it is the wind that the readings have.
         """
         self.backdrop = backdrop  # as it is at first
@@ -83,13 +76,12 @@ class History:
         self._begin()
 
     def _begin(self) -> None:
-        """Begin a mission."""
         self.missions += 1
         timed = partial(Timed[Any], self._whole)
         self.measurements: Timed[Measurement] = timed(MOST)
-        self._scatters: Timed[_Packed] = timed()
+        self._scatters: Timed[Scatter | None] = timed()
         self._winds: Timed[tuple[float, float]] = timed()
-        self._waypoints: Timed[Point | None] = timed()
+        self.waypoints: Timed[Point | None] = timed()
         self._walls: Timed[float] = timed()
         self._endings: Timed[Ending] = timed()
         self._stop = self._assume = ""
@@ -149,12 +141,11 @@ class History:
                 case WAYPOINT.name:
                     places = [place for _, said in frames(payload, {SETPOINT}) if (place := waypoint(said))]
                     for place in places:
-                        self._waypoints.add(time_s, place)
+                        self.waypoints.add(time_s, place)
                     return bool(places)
                 case _ if key.startswith(HEALTH_PREFIX):
                     health = msgspec.json.decode(payload, type=Health)
-                    is_its_own = key == HEALTH_PREFIX + health.service
-                    return is_its_own and self._parts.hears(health, time_s, wall_s)
+                    return key == HEALTH_PREFIX + health.service and self._parts.hears(health, time_s, wall_s)
         return False
 
     def lives(self, service: str, alive: bool, wall_s: float) -> None:
@@ -206,13 +197,22 @@ class History:
         last = self.measurements.at()
         if last is not None and said.step <= last.step:
             return False  # repeated
-        measurement = Measurement(
-            said.step, time_s, said.position, said.gas, said.spread, said.mean, said.covariance, said.ceased
+        self.measurements.add(
+            time_s,
+            Measurement(
+                said.step,
+                time_s,
+                said.position,
+                said.gas,
+                said.spread,
+                said.mean,
+                said.covariance,
+                said.ceased,
+            ),
         )
-        self.measurements.add(time_s, measurement)
         self._stop, self._assume = said.stop, said.assume
         if attachment:
-            self._scatters.add(time_s, _Packed(attachment, said.unknowns, said.mean))
+            self._scatters.add(time_s, _scatter(said, attachment))
         if not said.ceased and self._budget is not None and said.step >= self._budget:
             words = (
                 f"not ceased after {said.step} steps; estimate ({said.mean[0]:.2f}, {said.mean[1]:.2f}) "
@@ -225,15 +225,15 @@ class History:
     def _take_stop(self, said: Stop, time_s: float) -> bool:
         if self._endings.values:
             return False  # repeated
-        claim = judged(said.step, said.estimate, said.spread, None)
-        self._happened(time_s, STOPPED, "estimator", claim.text)
-        self._ended(time_s, judged(said.step, said.estimate, said.spread, self.backdrop.release))
+        claim = said.step, said.estimate, said.spread
+        self._happened(time_s, STOPPED, "estimator", judged(*claim, None).text)
+        self._ended(time_s, judged(*claim, self.backdrop.release))
         return True
 
     def _ended(self, time_s: float, ending: Ending) -> None:
         """Take the end of the search: no waypoint of it is flown to any more."""
         self._endings.add(time_s, ending)
-        self._waypoints.add(time_s, None)
+        self.waypoints.add(time_s, None)
 
     # ---- looking ----
 
@@ -242,11 +242,6 @@ class History:
         """Simulation time at which the vehicle was first heard; 0 if it was started then."""
         return began_s(self._crafts.times_s)
 
-    @property
-    def waypoint(self) -> Point | None:
-        """The next waypoint; None if there is none, or none any more."""
-        return self._waypoints.at()
-
     def at(self, time_s: float = math.inf, wall_s: float | None = None) -> Scene:
         """Return the scene at a simulation time, by default the newest.
 
@@ -254,15 +249,15 @@ class History:
         """
         wall = (self._walls.at(time_s) or self.wall_s) if wall_s is None else wall_s
         now_s, measurements = min(time_s, self.time_s), self.measurements.until(time_s)
-        packed, craft = self._scatters.at(time_s), self._crafts.at(time_s)
+        craft = self._crafts.at(time_s)
         return Scene(
             backdrop=self._backdrop(now_s, measurements[-1].step if measurements else -1),
             time_s=now_s,
             craft=craft,
             track=self._track.until(time_s),
             measurements=measurements,
-            scatter=_unpacked(packed) if packed else None,
-            waypoint=self._waypoints.at(time_s),
+            scatter=self._scatters.at(time_s),
+            waypoint=self.waypoints.at(time_s),
             wind=self._winds.at(time_s) or (craft.condition.wind if craft else None),
             stop=self._stop,
             assume=self._assume,
@@ -283,18 +278,43 @@ class History:
         return replace(self.backdrop, release=release)
 
 
-@lru_cache(maxsize=16)
-def _unpacked(packed: _Packed) -> Scatter | None:
-    """Return the particles in the plane; a known x or y is the estimate's own. None if they are not valid.
+def _scatter(said: Belief, attachment: bytes) -> Scatter | None:
+    """Return a belief's particles in the plane; a known x or y is the estimate's own.
 
-    Those of the same belief are the same object when asked for again: a page has them already.
+    None if they are not valid.
     """
     try:
-        rows = unpack_particles(packed.payload, len(packed.unknowns))
+        rows = unpack_particles(attachment, len(said.unknowns))
     except ValueError:
         return None
     places = np.empty((len(rows), 2), np.float32)
     for column, name in enumerate("xy"):
-        known = name not in packed.unknowns
-        places[:, column] = packed.estimate[column] if known else rows[:, packed.unknowns.index(name)]
-    return Scatter(places, rows[:, -1])
+        known = name not in said.unknowns
+        places[:, column] = said.mean[column] if known else rows[:, said.unknowns.index(name)]
+    return Scatter(places, rows[:, -1].copy())
+
+
+# ---- of a run ----
+
+
+def begun(about: dict[str, Any], vehicle: str = "", *, whole: bool = False) -> History:
+    """Return the history of a run of which only its own description is known; for `whole` see `History`."""
+    return History(*backdrop_of(about, vehicle), turns=turns_of(about), whole=whole)
+
+
+def history_of(recording: Recording, vehicle: str = "") -> History:
+    """Return all that a record tells."""
+    history = begun(recording.about, vehicle, whole=True)
+    for entry in sorted(recording.entries, key=lambda entry: entry.published_ns):
+        history.take(entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9)
+    return history
+
+
+def remark_on(recording: Recording, history: History) -> str:
+    """Return what people should know who see the record, after its name: `is cut off ...`."""
+    remarks = [recording.shortcoming]
+    if history.missions > 1:
+        remarks.append(f"holds {history.missions} missions, of which the last one is shown")
+    if not recording.entries:
+        remarks.append("holds no message")
+    return ", and ".join(filter(None, remarks))

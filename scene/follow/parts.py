@@ -1,5 +1,6 @@
-"""How parts are doing, from their liveliness and their health messages; `plumeward status` and the page
-judge alike.
+"""How parts are doing, from their liveliness and their health messages.
+
+`plumeward status` and the page judge alike.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,7 +12,7 @@ from scene.scene import INFO, WARNING, Service
 
 STALE_S = 5.0  # each part says every second how it is; after this long without, it hangs or its link is cut
 OK, MISSING, STARTING, STALE, REFUSING = "ok", "missing", "starting", "stale", "refusing"
-ORDER = {"uav": 0, "estimator": 1, "agent": 2}
+PARTS = ("uav", "estimator", "agent")  # of each search, in the order in which people see them
 LONGEST = 300  # characters of a name or text that are kept: it may quote a stranger
 MOST_PARTS = 64  # parts that are followed; health messages of more are left out: names are easily forged
 
@@ -28,6 +29,11 @@ def verdict(alive: bool, health: Health | None, silent_s: float) -> str:
     if silent_s >= STALE_S:
         return STALE
     return REFUSING if health.refused_lately else OK
+
+
+def in_order(name: str) -> tuple[int, str]:
+    """Return the key by which parts are sorted."""
+    return PARTS.index(name) if name in PARTS else len(PARTS), name
 
 
 class _Sign(NamedTuple):
@@ -81,16 +87,11 @@ class Parts:
 
     def at(self, time_s: float, wall_s: float) -> Iterator[Service]:
         """Yield how each part was doing at a simulation time, when the clock said wall_s."""
-        for name in sorted(self._signs, key=lambda name: (ORDER.get(name, len(ORDER)), name)):
-            if (sign := self._signs[name].at(time_s)) is None:
-                continue
-            judged, said = verdict(sign.alive, sign.health, wall_s - sign.wall_s), sign.health
-            if said is None:
-                yield Service(name, judged)
-            else:
-                yield Service(
-                    name, judged, said.state, said.about, said.step, said.latency_s, tuple(said.warnings)
-                )
+        for name in sorted(self._signs, key=in_order):
+            if sign := self._signs[name].at(time_s):
+                judged, it = verdict(sign.alive, sign.health, wall_s - sign.wall_s), sign.health
+                told = (it.state, it.about, it.step, it.latency_s, tuple(it.warnings)) if it else ()
+                yield Service(name, judged, *told)
 
 
 def _news(before: Health | None, said: Health) -> Iterator[tuple[str, str]]:

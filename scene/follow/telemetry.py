@@ -14,10 +14,10 @@ from scene.follow.area import PLACING, AreaFrame
 from scene.scene import ERROR, INFO, WARNING, Condition, Craft, Point
 
 ATTITUDE, LOCAL, GLOBAL, TEXT, SETPOINT = 30, 32, 33, 253, 84
-SYS_STATUS, GPS_RAW, WIND, EKF_STATUS, ESTIMATOR_STATUS, WIND_COV = 1, 24, 168, 193, 230, 231
-CONDITION = {SYS_STATUS, GPS_RAW, WIND, EKF_STATUS, ESTIMATOR_STATUS, WIND_COV}
+CONDITION = {1, 24, 168, 193, 230, 231}  # messages that tell of the vehicle's condition, see `_condition`
 SHOWN = PLACING | CONDITION | {ATTITUDE, LOCAL, GLOBAL, TEXT}
 UNKNOWN_MV, UNKNOWN_SATELLITES = 0xFFFF, 0xFF
+# GPS_RAW_INT's fix_type (GPS_FIX_TYPE).
 FIXES = (
     "no GPS",
     "no fix",
@@ -29,7 +29,6 @@ FIXES = (
     "static",
     "3-D fix, PPP",
 )
-"""GPS_RAW_INT's fix_type (GPS_FIX_TYPE)."""
 
 
 def frames(
@@ -44,34 +43,39 @@ def frames(
             yield frame, fields_of(frame)
 
 
-def seen(craft: Craft, message_id: int, fields: dict[str, Any], time_s: float, area: AreaFrame) -> Craft:
+def seen(was: Craft, message_id: int, fields: dict[str, Any], time_s: float, area: AreaFrame) -> Craft:
     """Return the vehicle after one of its messages; a position or heading that is not finite is not taken."""
-    it = craft
     match message_id:
         case 0:  # HEARTBEAT
             armed = bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-            return replace(it, mode=mode_name(fields["autopilot"], fields["custom_mode"]), armed=armed)
+            return replace(was, mode=mode_name(fields["autopilot"], fields["custom_mode"]), armed=armed)
         # Not `replace`, which takes ten times as long: the next two are nearly all of the telemetry.
         case 30 if math.isfinite(fields["yaw"]):  # ATTITUDE: yaw is clockwise from north
             yaw = math.remainder(math.pi / 2 - fields["yaw"], 2 * math.pi)
-            return Craft(time_s, it.position, it.altitude_m, yaw, it.mode, it.armed, it.fix, it.condition)
+            return Craft(
+                time_s, was.position, was.altitude_m, yaw, was.mode, was.armed, was.fix, was.condition
+            )
         case 32 if place := area.place(fields):  # LOCAL_POSITION_NED
-            return Craft(time_s, place[:2], place[2], it.heading, it.mode, it.armed, it.fix, it.condition)
+            return Craft(
+                time_s, place[:2], place[2], was.heading, was.mode, was.armed, was.fix, was.condition
+            )
         case 33:  # GLOBAL_POSITION_INT; (0, 0) is sent without a position
             fix = fields["lat"] / 1e7, fields["lon"] / 1e7, fields["alt"] / 1e3
-            return replace(it, fix=fix if any(fix[:2]) else None)
-    condition = _condition(it.condition, message_id, fields)
-    return craft if condition == it.condition else replace(craft, condition=condition)
+            return replace(was, fix=fix if any(fix[:2]) else None)
+    condition = _condition(was.condition, message_id, fields)
+    return was if condition == was.condition else replace(was, condition=condition)
 
 
 def _condition(known: Condition, message_id: int, fields: dict[str, Any]) -> Condition:
-    """Return the vehicle's condition after one of its messages."""
     match message_id:
         case 1:  # SYS_STATUS; ArduPilot sends 0 V without a monitor
             percent, millivolts = fields["battery_remaining"], fields["voltage_battery"]
-            battery = percent / 100 if 0 <= percent <= 100 else None
-            volts = None if millivolts in (0, UNKNOWN_MV) else millivolts / 1e3
-            return replace(known, battery=battery, volts=volts, ailing=_ailing(fields))
+            return replace(
+                known,
+                battery=percent / 100 if 0 <= percent <= 100 else None,
+                volts=None if millivolts in (0, UNKNOWN_MV) else millivolts / 1e3,
+                ailing=_ailing(fields),
+            )
         case 24:  # GPS_RAW_INT
             kind, satellites = fields["fix_type"], fields["satellites_visible"]
             words = FIXES[kind] if kind < len(FIXES) else f"fix type {kind}"

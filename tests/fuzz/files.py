@@ -26,12 +26,11 @@ from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow
 from ground.tlog.flight import read as read_flight
 from ground.tlog.frames import STAMP
-from ground.tlog.log import FlightError
 from ground.view.wire import Sent, packed
 from link.cli import BadInput
 from link.record.reader import RecordError
 from link.record.reader import read as read_record
-from scene.follow.recorded import history_of
+from scene.follow.history import history_of
 from scene.scene import Scene
 from sitl.script.script import load, shipped
 from tests.fuzz.mutants import as_sent
@@ -186,7 +185,7 @@ def tlog(data: bytes) -> None:
     """A log is read as a flight or refused."""
     try:
         flight = read_flight(_file("fuzzed.tlog", as_sent(data, STAMP)))
-    except FlightError as error:
+    except BadInput as error:
         _is_one_line(error)
     else:
         assert flight.entries
@@ -207,7 +206,7 @@ def onboard(data: bytes) -> None:
     """An on-board log is read as a flight or refused."""
     try:
         flight = read_flight(_file("fuzzed.bin", data))
-    except FlightError as error:
+    except BadInput as error:
         _is_one_line(error)
     else:
         assert all(len(note.splitlines()) == 1 for note in flight.notes)

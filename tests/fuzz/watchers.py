@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from starlette.types import ASGIApp
 
 from ground.desk.scenes import RecordedScene
 from ground.desk.status import Board
@@ -20,7 +21,7 @@ from ground.view.access import AccessRules
 from ground.view.foxglove import ViewerRequest
 from ground.view.records import RecordedVehicle
 from ground.view.server import PageServer, message_of
-from ground.view.serving import UNREADABLE, Asgi
+from ground.view.serving import UNREADABLE
 from link.bus.messages import Health
 from link.record.reader import read
 from link.record.record import Entry, SimulationClock
@@ -116,12 +117,9 @@ class OneRecord:
 
     def __init__(self) -> None:
         (FOLDER / "shown.mcap").write_bytes(record_seeds()[0])
-        from scene.follow.recorded import history_of
+        from scene.follow.history import history_of
 
         self.vehicles = {"uav/1": RecordedVehicle("uav/1", history_of(read(FOLDER / "shown.mcap")))}
-
-    def entries(self) -> list[dict[str, Any]]:
-        return [vehicle.entry() for vehicle in self.vehicles.values()]
 
 
 @cache
@@ -163,7 +161,13 @@ async def _both(*hostile: Any) -> None:
 
 
 async def _asked(
-    app: Asgi, host: bytes, origin: bytes, protocol: bytes, path: bytes, said: list[bytes], fine: bool = False
+    app: ASGIApp,
+    host: bytes,
+    origin: bytes,
+    protocol: bytes,
+    path: bytes,
+    said: list[bytes],
+    fine: bool = False,
 ) -> None:
     scope = {
         "path": path.decode("latin-1"),

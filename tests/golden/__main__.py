@@ -15,8 +15,10 @@ from typing import Any
 
 from agent.policies import OURS
 from ground.replay import verify
+from ground.replay.verify import Answer, Difference, Rules
 from link.record.reader import Recording, read
 
+EXACTLY = Rules()
 FOLDER = Path(__file__).parent
 SENSORS = ("gaussian", "threshold", "hits")
 FLAGS = ("--seed", "26", "--particles", "100", "--budget", "45", "--speedup", "0")
@@ -73,9 +75,21 @@ def outcome(log: Recording) -> str:
     )
 
 
+def compare(
+    then: Mapping[tuple[int, str], Answer], now: Mapping[tuple[int, str], Answer], rules: Rules = EXACTLY
+) -> Difference | None:
+    """The first difference between the answers of two logs."""
+    both = {**then, **now}
+    for key in sorted(both, key=verify.place):
+        step = verify.step_of(both.get((key[0], "belief")))
+        if found := verify.difference(then.get(key), now.get(key), rules, step):
+            return found
+    return None
+
+
 def changes(then: Recording, now: Recording) -> str:
     """The first difference between two records, in one line; empty if there is none."""
-    if found := verify.compare(verify.said(then.entries), verify.said(now.entries)):
+    if found := compare(verify.said(then.entries), verify.said(now.entries)):
         return f"{found.text()}; {outcome(then)} -> {outcome(now)}"
     for part, words in now.about["parts"].items():
         if words != (before := then.about["parts"][part]):

@@ -31,13 +31,6 @@ def test_a_gif_has_each_frame_and_stays_at_the_last(tmp_path: Path) -> None:
         assert lasting == [200] * 6 + [2000]
 
 
-@pytest.mark.parametrize("write", [write_gif, write_mp4])
-def test_an_animation_of_nothing_is_refused(tmp_path: Path, write) -> None:
-    with pytest.raises(ValueError, match="no frames"):
-        write(iter(()), tmp_path / "a")
-    assert not list(tmp_path.iterdir())
-
-
 def ffmpeg_that(does: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Put a program of this name in the place of ffmpeg. It finds its last argument, the file to write, in
     $to.

@@ -144,7 +144,7 @@ def test_the_wind_arrow_points_to_where_the_air_flows(drawing: Any) -> None:
 def test_a_picture_shows_beliefs_in_colours_of_their_own_and_says_of_which_step(tmp_path: Path) -> None:
     from scene.drawing import BELIEFS
 
-    picture = blank(scene(), beliefs=3).show(scene(), [scene(1), scene(2), scene(4)])
+    picture = blank(scene(), beliefs=[scene(1), scene(2), scene(4)]).show(scene())
     rings = [patch.get_edgecolor() for patch in picture.map.patches if patch.get_visible()]
     assert len(set(rings)) == 3
     said = [text.get_text() for text in picture.figure.legends[0].get_texts()]
@@ -156,7 +156,7 @@ def test_a_picture_shows_beliefs_in_colours_of_their_own_and_says_of_which_step(
     for form in ("svg", "png"):
         files = [tmp_path / f"{name}.{form}" for name in ("one", "two")]
         for file in files:
-            blank(scene(), beliefs=3).show(scene(), [scene(1), scene(2), scene(4)]).save(file, form)
+            blank(scene(), beliefs=[scene(1), scene(2), scene(4)]).show(scene()).save(file, form)
         assert files[0].read_bytes() == files[1].read_bytes()
     assert b"<dc:date>" not in (tmp_path / "one.svg").read_bytes()
 

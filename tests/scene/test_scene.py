@@ -8,19 +8,18 @@ from plume.dispersion import concentration
 from scene.scene import Backdrop, Release, Scene, ellipse
 
 
-def test_the_ellipse_of_a_turned_covariance_has_its_standard_deviations_as_half_axes() -> None:
+def test_the_ellipse_of_a_turned_covariance_has_two_standard_deviations_as_half_axes() -> None:
     # Standard deviations 3 m along 30° and 1 m across it: covariance = R diag(9, 1) Rᵀ.
     c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
     covariance = (9 * c * c + s * s, 8 * c * s, 9 * s * s + c * c)
-    assert ellipse(covariance, 1.0) == pytest.approx((3.0, 1.0, math.radians(30)))
     assert ellipse(covariance) == pytest.approx((6.0, 2.0, math.radians(30)))
 
 
 def test_a_covariance_along_north_points_up_and_one_without_width_has_none() -> None:
-    assert ellipse((1.0, 0.0, 4.0), 1.0) == pytest.approx((2.0, 1.0, math.pi / 2))
+    assert ellipse((1.0, 0.0, 4.0)) == pytest.approx((4.0, 2.0, math.pi / 2))
     assert ellipse((0.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)
-    longer, shorter, _ = ellipse((1.0, 1.0 + 1e-12, 1.0), 1.0)  # rounding may make a variance negative
-    assert (longer, shorter) == (pytest.approx(math.sqrt(2)), 0.0)
+    longer, shorter, _ = ellipse((1.0, 1.0 + 1e-12, 1.0))  # rounding may make a variance negative
+    assert (longer, shorter) == (pytest.approx(2 * math.sqrt(2)), 0.0)
 
 
 def test_the_true_plume_has_its_rows_from_south_to_north_and_its_gas_downwind() -> None:

@@ -38,7 +38,7 @@ from plume.scenario import draw
 from plume.sensor import parse
 from plume.world import World, gas_of
 from plume.worlds import WORLDS
-from tests.golden.__main__ import GOLDEN, SENSORS, path
+from tests.golden.__main__ import GOLDEN, SENSORS, compare, path
 
 
 def fed(digest: Any, value: Any) -> None:
@@ -126,7 +126,7 @@ def golden(name: str) -> str:
             message = waypoint_message(1, said.time_boot_ms, place, said.altitude_m)
             answers += verify.answers(WAYPOINT.name, codec.pack(message))
     then, now = verify.said(log.entries), {(answer.time_ms, answer.kind): answer for answer in answers}
-    found = verify.compare(then, now)
+    found = compare(then, now)
     differs = f" DIFFERS {found.text()}" if found else "" if then else " DIFFERS nothing is recorded"
     return digest_of(now.values()) + differs
 

@@ -148,9 +148,6 @@ class Stage(Served):
         self.list_version = 0
         self.notice = ""
 
-    def entries(self) -> list[dict[str, Any]]:
-        return [vehicle.entry() for vehicle in self.vehicles.values()]
-
     def enter(self, shown: Scene) -> Actor:
         """Let a vehicle appear."""
         actor = Actor(self, shown)

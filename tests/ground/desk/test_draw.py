@@ -2,7 +2,6 @@
 input is one line.
 """
 
-import argparse
 import re
 import shutil
 import sys
@@ -14,7 +13,8 @@ from mcap.writer import Writer
 from PIL import Image
 
 from ground.desk import draw
-from ground.desk.draw import add_arguments, run, telling
+from ground.desk.draw import telling
+from link import cli
 from scene.scene import Measurement
 from sitl.__main__ import main
 
@@ -23,9 +23,7 @@ RECORD = Path(__file__).parents[2] / "golden" / "homing-gaussian-field.mcap"
 
 
 def drawn(*words: str) -> int:
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    return run(parser.parse_args([*words]))
+    return cli.start("draw", cli.Command("ground.desk.draw", ""), words)
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 before its end.
 """
 
-import argparse
 import signal
 from pathlib import Path
 
@@ -32,10 +31,10 @@ def test_a_recorder_that_is_told_to_end_before_it_begins_writes_what_was_said(
     assert [entry.payload for entry in recording.entries] == [b"said"]
 
 
-def given(path: Path, router: str, *flags: str) -> argparse.Namespace:
-    parser = cli.Parser()
-    recorder.add_arguments(parser)
-    return parser.parse_args([str(path), "--connect", router, *flags])
+def recorded(path: Path, router: str, *flags: str) -> int:
+    return cli.start(
+        "record", cli.Command("ground.desk.recorder", ""), [str(path), "--connect", router, *flags]
+    )
 
 
 @pytest.mark.parametrize("there", ["run.mcap", "run.tlog"])
@@ -43,7 +42,7 @@ def test_a_file_that_exists_is_refused_in_one_line_before_anything_is_joined(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], there: str
 ) -> None:
     (tmp_path / there).write_text("old")
-    assert recorder.run(given(tmp_path / "run.mcap", "tcp/127.0.0.1:1")) == 2  # no router listens there
+    assert recorded(tmp_path / "run.mcap", "tcp/127.0.0.1:1") == 2  # no router listens there
     assert (
         capsys.readouterr().err
         == f"error: FILE.mcap: {str(tmp_path / there)!r} exists; wanted another name, or --force\n"
@@ -63,7 +62,7 @@ def test_a_record_that_is_being_written_is_refused_even_with_force_and_stays_who
     tmp_path: Path, capsys: pytest.CaptureFixture[str], router: str
 ) -> None:
     first = recorder.begin(tmp_path / "run.mcap", True, {"seed": 1})
-    assert recorder.run(given(tmp_path / "run.mcap", router, "--force")) == 2
+    assert recorded(tmp_path / "run.mcap", router, "--force") == 2
     path = str(tmp_path / "run.mcap")
     assert (
         capsys.readouterr().err.splitlines()[-1]

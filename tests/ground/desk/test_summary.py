@@ -8,13 +8,12 @@ import json
 import os
 import random
 import tracemalloc
-from argparse import Namespace
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from ground.desk.summary import run
+from link import cli
 from link.bus.mavlink import Codec, Reading, gas_message, pack_reading
 from link.bus.messages import Belief, Health, Stop
 from link.record.record import Entry
@@ -112,8 +111,13 @@ def log(tmp_path: Path) -> Path:
     return record(tmp_path / "run.mcap", MESSAGES)
 
 
-def said(capsys: pytest.CaptureFixture[str], path: Path, status: int = 0, **flags: object) -> str:
-    assert run(Namespace(**{"log": path, "csv": None, "json": False, **flags})) == status
+def log_of(path: Path, *flags: str) -> int:
+    return cli.start("log", cli.Command("ground.desk.summary", ""), [str(path), *flags])
+
+
+def said(capsys: pytest.CaptureFixture[str], path: Path, status: int = 0, **flags: str | bool) -> str:
+    words = [word for name, value in flags.items() for word in (f"--{name}", value) if word is not True]
+    assert log_of(path, *map(str, words)) == status
     out, err = capsys.readouterr()
     return err if status else out
 
@@ -373,7 +377,7 @@ def test_a_damaged_log_is_told_with_what_is_missing_and_has_a_status_of_its_own(
     whole = path.read_bytes()
     at = whole.index(b"zstd") + 40
     path.write_bytes(whole[:at] + bytes(16) + whole[at + 16 :])
-    assert run(Namespace(log=path, csv=None, json=True)) == 1
+    assert log_of(path, "--json") == 1
     out, err = capsys.readouterr()
     fields = json.loads(out)
     (place,) = fields["damage"]

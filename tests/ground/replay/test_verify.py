@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from ground.replay import verify
 from ground.replay.verify import Rules
 from link.record.record import Entry
+from tests.golden.__main__ import compare
 
 BELIEF = {
     "time_boot_ms": 12350,
@@ -48,7 +49,7 @@ def waypoint(time_boot_ms: int = 12350, north: float = 4.0, sequence: int = 0, y
 
 def text(then: list[Entry], now: list[Entry], *ignored: str, tolerance: float = 0.0) -> str | None:
     rules = Rules(verify.ignored(ignored), tolerance)
-    found = verify.compare(verify.said(then), verify.said(now), rules)
+    found = compare(verify.said(then), verify.said(now), rules)
     return found and found.text()
 
 
@@ -299,7 +300,7 @@ def test_no_waypoint_is_owed_to_a_belief_that_has_ceased_or_spent_the_budget() -
 
 
 def test_a_difference_as_json_has_the_key_and_both_values() -> None:
-    found = verify.compare(verify.said([belief()]), verify.said([belief(mean=[1.0, 15.5])]))
+    found = compare(verify.said([belief()]), verify.said([belief(mean=[1.0, 15.5])]))
     assert found is not None
     assert found.as_json() == {
         "key": "belief",
@@ -309,7 +310,7 @@ def test_a_difference_as_json_has_the_key_and_both_values() -> None:
         "was": 14.913,
         "is": 1.0,
     }
-    found = verify.compare(verify.said([waypoint()]), {})
+    found = compare(verify.said([waypoint()]), {})
     assert found is not None
     assert found.as_json() == {
         "key": "waypoint",

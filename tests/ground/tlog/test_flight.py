@@ -16,10 +16,10 @@ from pymavlink.dialects.v20 import all as mavlink
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from ground.tlog.flight import LoggedFlight, read
-from ground.tlog.log import FlightError
 from ground.tlog.samples import parse_gas
 from ground.tlog.track import Track
 from link.bus.mavlink import Reading, unpack_reading
+from link.cli import BadInput
 from plume.dispersion import concentration
 from plume.geodesy import to_global
 from plume.scenario import Scenario
@@ -244,7 +244,7 @@ def test_no_position_at_all_is_an_error(tmp_path: Path) -> None:
         log.hear(n, globe(1000 * n, 0, 0))
         log.hear(n, local(1000 * n, math.nan, 0.0))
         log.hear(n, gas(1000 * n, n))
-    with pytest.raises(FlightError, match="system 1 sent no position; wanted LOCAL_POSITION_NED"):
+    with pytest.raises(BadInput, match="system 1 sent no position; wanted LOCAL_POSITION_NED"):
         read(log.write(tmp_path), wind=WESTERLY)
 
 
@@ -294,7 +294,7 @@ def test_a_chosen_area_leaves_out_what_is_not_in_it(tmp_path: Path) -> None:
     assert read(path, area_m=10.0).origin[:2] == (-4.0, 15.0)
     assert read(path, origin=(0.0, 0.0)).area_m == 41.0  # 39 m and 2 m
     with pytest.raises(
-        FlightError, match=r"none of the 20 samples can be a reading; left out: 20 outside the area"
+        BadInput, match=r"none of the 20 samples can be a reading; left out: 20 outside the area"
     ):
         read(path, origin=(100.0, 100.0), area_m=5.0)
 
@@ -525,7 +525,7 @@ def test_gas_may_be_a_field_of_any_message_and_in_another_unit(tmp_path: Path) -
     ],
 )
 def test_a_bad_gas_mapping_is_refused_with_what_is_allowed(text: str, wanted: str) -> None:
-    with pytest.raises(FlightError, match="is not allowed; wanted ") as refusal:
+    with pytest.raises(BadInput, match="is not allowed; wanted ") as refusal:
         parse_gas(text)
     assert wanted in str(refusal.value)
     assert "\n" not in str(refusal.value)
@@ -552,7 +552,7 @@ def test_a_name_that_would_break_the_line_or_the_terminal_is_quoted(tmp_path: Pa
     log.hear(0.0, heartbeat())
     log.hear(0.0, local(0, 1.0, 1.0))
     log.hear(0.5, gas(500, 1.0, b"a\n\x1b[2J"))
-    with pytest.raises(FlightError) as refused:
+    with pytest.raises(BadInput) as refused:
         read(log.write(tmp_path))
     assert r"its named values: 'a\n\x1b[2J'; " in str(refused.value)
 
@@ -564,7 +564,7 @@ def test_without_gas_the_names_that_are_there_are_told(tmp_path: Path) -> None:
         log.hear(n, gas(1000 * n, n, b"CH4"))
         log.hear(n, gas(1000 * n, n, b"Lights1"))
         log.hear(n, gas(1000 * n, n), system=7)
-    with pytest.raises(FlightError) as refusal:
+    with pytest.raises(BadInput) as refusal:
         read(log.write(tmp_path), wind=WESTERLY)
     assert str(refusal.value) == (
         "system 1 sent no gas; system 7 did; its named values: CH4, Lights1; "
@@ -598,7 +598,7 @@ def test_no_wind_is_an_error_that_names_the_flag(tmp_path: Path) -> None:
         log.hear(n, local(1000 * n, 0.0, n))
         log.hear(n, gas(1000 * n, n))
         log.hear(n, wind_cov(math.nan, math.nan))
-    with pytest.raises(FlightError, match="give it with --wind SPEED,FROM"):
+    with pytest.raises(BadInput, match="give it with --wind SPEED,FROM"):
         read(log.write(tmp_path))
 
 
@@ -618,7 +618,7 @@ def test_of_several_vehicles_the_one_with_most_positions_is_read_or_the_one_that
     other = read(path, system=5)
     assert other.system == 5
     assert [reading.time_boot_ms for reading in readings(other)] == [500, 1500, 2500, 3500, 4500]
-    with pytest.raises(FlightError, match=r"system 4 is not in the log; its systems: 3, 5, 255"):
+    with pytest.raises(BadInput, match=r"system 4 is not in the log; its systems: 3, 5, 255"):
         read(path, system=4)
 
 
@@ -640,7 +640,7 @@ def test_a_log_of_nothing_but_a_ground_station_has_no_vehicle(tmp_path: Path) ->
     for n in range(3):
         log.hear(n, ground_station(), system=255, component=190)
     with pytest.raises(
-        FlightError, match=r"no vehicle is in the log: none of its systems \(255\) is an autopilot"
+        BadInput, match=r"no vehicle is in the log: none of its systems \(255\) is an autopilot"
     ):
         read(log.write(tmp_path))
 
@@ -669,7 +669,7 @@ def test_a_plume_laid_over_the_path_is_read_as_its_world_tells_it(tmp_path: Path
     ]
     assert readings(flight) == expected
     assert flight.area_m == 30.0
-    with pytest.raises(FlightError, match="a wind is not allowed with a plume"):
+    with pytest.raises(BadInput, match="a wind is not allowed with a plume"):
         read(log.write(tmp_path), plume=world, wind=WESTERLY)
 
 
@@ -756,14 +756,14 @@ def test_another_kind_of_file_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "some.log"
     path.write_bytes(data)
     with pytest.raises(
-        FlightError, match=r"contains no MAVLink 1 or 2 frame; wanted a telemetry log \(\.tlog\)"
+        BadInput, match=r"contains no MAVLink 1 or 2 frame; wanted a telemetry log \(\.tlog\)"
     ):
         read(path)
 
 
 def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     for path, why in ((tmp_path / "none.tlog", "No such file"), (tmp_path, "Is a directory")):
-        with pytest.raises(FlightError, match=f"cannot be read: {why}"):
+        with pytest.raises(BadInput, match=f"cannot be read: {why}"):
             read(path)
 
 
@@ -783,7 +783,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
 def test_what_is_asked_is_checked(tmp_path: Path, asked: dict, reason: str) -> None:
     log = Recorder()
     fly(log, 0.0, 2.0)
-    with pytest.raises(FlightError) as refusal:
+    with pytest.raises(BadInput) as refusal:
         read(log.write(tmp_path), **asked)
     assert reason in str(refusal.value)
 
@@ -808,7 +808,7 @@ def test_whatever_is_in_the_file_it_is_read_or_refused(tmp_path: Path, data: st.
     path.write_bytes(raw)
     try:
         flight = read(path)
-    except FlightError:
+    except BadInput:
         return
     times = [reading.time_boot_ms for reading in readings(flight)]
     assert times == sorted(set(times))

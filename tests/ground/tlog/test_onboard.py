@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from ground.tlog.flight import LoggedFlight, read
-from ground.tlog.log import FlightError
 from link.bus.mavlink import Reading, unpack_reading
+from link.cli import BadInput
 from tests.ground.tlog.onboard_logs import Dataflash, ULog, flown, flown_by_px4
 
 WESTERLY = (3.0, 270.0)
@@ -38,7 +38,7 @@ def test_a_dataflash_log_gives_the_readings_that_one_works_out_by_hand(tmp_path:
 def test_any_field_of_a_dataflash_log_may_be_the_gas(tmp_path: Path) -> None:
     flight = read(flown().write(tmp_path), gas="GASX.Conc*0.5", wind=WESTERLY, area_m=50.0)
     assert [reading.gas for reading in readings(flight)] == [50.0 * n for n in range(10, 101, 5)]
-    with pytest.raises(FlightError, match=r"sent no RFND\.Dist; its named values: gas;"):
+    with pytest.raises(BadInput, match=r"sent no RFND\.Dist; its named values: gas;"):
         read(flown().write(tmp_path), gas="RFND.Dist")
 
 
@@ -68,9 +68,7 @@ def test_a_format_that_no_message_can_have_is_not_followed(tmp_path: Path, lengt
 
 
 def test_a_dataflash_log_of_nothing_to_read_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(
-        FlightError, match=r"is an ArduPilot dataflash log of 1 messages, but none that tells"
-    ):
+    with pytest.raises(BadInput, match=r"is an ArduPilot dataflash log of 1 messages, but none that tells"):
         read(Dataflash().write(tmp_path))
 
 

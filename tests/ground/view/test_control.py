@@ -46,7 +46,7 @@ class Flying:
 
     def told(self, name: CommandName) -> CommandAnswer | None:
         awaited = Awaited(name, system=1)
-        said = awaited.send(0.0)
+        said = awaited.run.send(0.0)
         assert said is not None
         said.pack(mavlink.MAVLink(None, *OPERATOR_IDS))
         awaited.hears(UAV.pack(*self.protocol.receive(said, self.now_s)), 0.1)
@@ -61,7 +61,7 @@ class Flying:
 def awaited(name: CommandName = "return") -> Awaited:
     """A command that has been sent once."""
     command = Awaited(name, system=1)
-    assert command.send(0.0)
+    assert command.run.send(0.0)
     return command
 
 
@@ -117,7 +117,7 @@ def test_answers_to_other_commands_and_stations_and_those_of_other_systems_are_n
     for sender in ((42, 1), (1, 191)):
         command.hears(Codec(*sender).pack(ack(RTL, DENIED), beat(Mode.RETURN)), 0.1)
     assert command.over(1.0) is None
-    assert command.send(1.0)  # nobody has acknowledged it
+    assert command.run.send(1.0)  # nobody has acknowledged it
 
 
 def test_it_is_done_when_telemetry_shows_it_or_what_comes_of_it() -> None:
@@ -137,7 +137,7 @@ def test_it_is_done_when_telemetry_shows_it_or_what_comes_of_it() -> None:
 
 def test_a_vehicle_that_says_nothing_has_not_accepted() -> None:
     command = Awaited("hold", system=1)
-    sent_s = [ms / 1000 for ms in range(3000) if command.send(ms / 1000)]
+    sent_s = [ms / 1000 for ms in range(3000) if command.run.send(ms / 1000)]
     assert sent_s == pytest.approx([0.0, 0.4, 0.8, 1.2, 1.6], abs=0.01)
     assert command.over(1.9) is None
     assert command.over(2.01) == CommandAnswer(False, "no answer within 2 s")
@@ -165,7 +165,7 @@ def test_a_real_vehicles_search_gets_the_word_and_answers_it(
     name: CommandName, number: int, first: float
 ) -> None:
     command = Awaited(name, system=32, component=SEARCH)
-    said = command.send(0.0)
+    said = command.run.send(0.0)
     assert said is not None
     assert (said.target_system, said.target_component, said.command, said.param1) == (32, 191, number, first)
     command.hears(COPTER.pack(ack(number, DENIED)), 0.1)  # the autopilot was not asked
@@ -182,7 +182,7 @@ def test_a_word_is_done_when_the_copter_is_in_the_firmwares_mode_of_it(
     name: CommandName, number: int, custom_mode: int
 ) -> None:
     command = Awaited(name, system=32, component=SEARCH)
-    assert command.send(0.0)
+    assert command.run.send(0.0)
     command.hears(copter_beat(5), 0.1)  # LOITER is none of them
     command.hears(SEARCHER.pack(ack(number, ACCEPTED)), 0.1)
     assert command.over(1.0) is None
@@ -192,7 +192,7 @@ def test_a_word_is_done_when_the_copter_is_in_the_firmwares_mode_of_it(
 
 def test_a_copter_in_guided_is_not_given_back_before_its_search_says_so() -> None:
     command = Awaited("resume", system=32, component=SEARCH)
-    assert command.send(0.0)
+    assert command.run.send(0.0)
     command.hears(copter_beat(4), 0.1)  # a pilot's own go-to
     assert command.over(0.2) is None
     command.hears(SEARCHER.pack(ack(PAUSE, ACCEPTED)), 0.3)

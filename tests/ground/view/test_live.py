@@ -40,7 +40,7 @@ def following(router: str, folder: Path | None = None) -> Iterator[tuple[LiveFle
 def test_who_waits_for_a_router_says_once_that_the_certificate_has_expired_and_takes_a_new_one(
     folder: Path, wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ground.view.live.CONNECT_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("ground.view.live.CONNECT_TIMEOUT_MS", 100)
     nobody = "tls/127.0.0.1:1"
     with following(nobody, folder) as (fleet, lines):
         wait_until(lambda: fleet.notice == f"no router at {nobody}: waiting for one")

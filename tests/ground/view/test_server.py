@@ -95,7 +95,7 @@ class Socket:
 def pages(*sockets: Socket) -> tuple[Obeying, list[asyncio.Task[None]]]:
     """Serve a vehicle to pages."""
     vehicle = Obeying()
-    shown = SimpleNamespace(vehicles={"uav/1": vehicle}, list_version=0, notice="", entries=lambda: [])
+    shown = SimpleNamespace(vehicles={"uav/1": vehicle}, list_version=0, notice="")
     server = PageServer(shown, AccessRules("127.0.0.1", 8447))
     return vehicle, [asyncio.create_task(Client(socket, server, shown, "").run()) for socket in sockets]  # type: ignore[arg-type]
 
@@ -225,7 +225,7 @@ def test_a_scene_is_built_once_for_all_pages_and_not_in_the_loop_that_serves_the
     async def watch() -> None:
         sockets = [Socket() for _ in range(5)]
         vehicle = LiveVehicle("uav/1", router, {})
-        shown = SimpleNamespace(vehicles={"uav/1": vehicle}, list_version=0, notice="", entries=lambda: [])
+        shown = SimpleNamespace(vehicles={"uav/1": vehicle}, list_version=0, notice="")
         server = PageServer(shown, AccessRules("127.0.0.1", 8447))
         tasks = [asyncio.create_task(Client(socket, server, shown, "").run()) for socket in sockets]  # type: ignore[arg-type]
         for socket in sockets:

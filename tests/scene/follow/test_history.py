@@ -15,8 +15,7 @@ from link.bus.mavlink import Codec, Reading, pack_reading, waypoint_message
 from link.bus.messages import Belief, Health, Stop, pack_particles
 from link.record.reader import Recording, read
 from link.record.record import Entry
-from scene.follow.history import History
-from scene.follow.recorded import history_of, remark_on
+from scene.follow.history import History, history_of, remark_on
 from scene.scene import Backdrop, Release
 
 RELEASE = Release((12.0, 20.0), (2.0, 0.0), 300.0, 4.0, 10.0)
@@ -271,12 +270,12 @@ def test_after_the_search_there_is_no_next_waypoint_whatever_others_ask_for(
     agent, pilot = Codec(1, 191), Codec(255, 190)
     history.take("waypoint", agent.pack(waypoint_message(1, 299, (2.5, 4.0), 5.0)), b"", 299.0, 100.0)
     history.take(key, payload, b"", 300.0, 101.0)
-    assert history.waypoint is history.at().waypoint is None
+    assert history.waypoints.at() is history.at().waypoint is None
     assert history.at(299.5).waypoint == (2.5, 4.0)  # it was there before
     assert not history.take(
         "mavlink/in", pilot.pack(waypoint_message(1, 301, (7.0, 8.0), 5.0)), b"", 301.0, 102.0
     )
-    assert history.waypoint is history.at().waypoint is None
+    assert history.waypoints.at() is history.at().waypoint is None
 
 
 def test_services_are_judged_as_status_does(history: History) -> None:
