@@ -109,11 +109,11 @@ def struct_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
             field["items"] = field.pop("prefixItems")[0]
         if "additionalProperties" in field:
             field["properties"] = {}
-    properties, required = (
-        {**schema["properties"], "simulation_s": SIMULATION_S},
-        [*schema["required"], "simulation_s"],
-    )
-    return {**schema, "properties": properties, "required": required}
+    return {
+        **schema,
+        "properties": {**schema["properties"], "simulation_s": SIMULATION_S},
+        "required": [*schema["required"], "simulation_s"],
+    }
 
 
 def message_schema(kind: str) -> dict[str, Any]:
@@ -125,17 +125,15 @@ def message_schema(kind: str) -> dict[str, Any]:
     else:
         message = TYPES[kind]
         counts = LAYOUTS[message.id].counts
-        for name, wire_type in zip(message.fieldnames, message.fieldtypes, strict=True):
-            field: dict[str, Any] = {"type": PLAIN.get(wire_type, "integer")}
-            if counts[name] > 1:
-                field = {"type": "array", "items": field}
-            if about := " ".join(
-                filter(None, (message.fieldunits_by_name.get(name), message.fieldenums_by_name.get(name)))
-            ):
-                field["description"] = about
-            properties[name] = field
-            if wire_type not in ("float", "double"):
-                required.append(name)
+        types = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
+        required = [name for name, wire_type in types.items() if wire_type not in ("float", "double")]
+        for name, wire_type in types.items():
+            value = {"type": PLAIN.get(wire_type, "integer")}
+            about = message.fieldunits_by_name.get(name), message.fieldenums_by_name.get(name)
+            properties[name] = {
+                **({"type": "array", "items": value} if counts[name] > 1 else value),
+                **({"description": " ".join(filter(None, about))} if any(about) else {}),
+            }
     properties |= {**SENDER, "simulation_s": SIMULATION_S}
     return {
         "title": kind,

@@ -5,7 +5,7 @@ What is damaged is stepped over: the next chunk is looked for behind it.
 
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from typing import IO, NamedTuple
 
@@ -124,16 +124,14 @@ class Pieces:
 def _parsed(kind: int, data: bytes) -> McapRecord | None:
     """Return a record from its bytes; None if they are damaged."""
     stream = ReadDataStream(BytesIO(data))
-    record: McapRecord
     try:
-        record = READ[kind].read(stream) if kind in READ else Message.read(stream, len(data))
+        return READ[kind](stream) if kind in READ else Message.read(stream, len(data))
     except DAMAGE:
         return None
-    return record
 
 
-READ: dict[int, type[Chunk] | type[Channel] | type[Metadata]] = {
-    Opcode.CHUNK: Chunk,
-    Opcode.CHANNEL: Channel,
-    Opcode.METADATA: Metadata,
+READ: dict[int, Callable[[ReadDataStream], McapRecord]] = {
+    Opcode.CHUNK: Chunk.read,
+    Opcode.CHANNEL: Channel.read,
+    Opcode.METADATA: Metadata.read,
 }

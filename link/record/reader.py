@@ -124,9 +124,9 @@ def read(path: Path | str) -> Recording:
     for entry in log:
         held += len(entry.payload) + len(entry.attachment) + MESSAGE_BYTES
         if held > LARGEST_RECORD:
-            gib = f"{LARGEST_RECORD / 2**30:g} GiB"
             raise RecordError(
-                f"{path} holds more than {gib} of messages; cut out a part of it with `mcap filter`"
+                f"{path} holds more than {LARGEST_RECORD / 2**30:g} GiB of messages; cut out a part of it "
+                "with `mcap filter`"
             )
         entries.append(entry)
     return Recording(log.about, entries, log.complete, tuple(log.damage))
@@ -242,10 +242,9 @@ class LogFile:
         about = {name: value_of(text) for name, text in told.items()}
         written = about.pop(FORMAT_NAME, 0)
         if written not in READABLE:
-            formats = ", ".join(map(str, READABLE))
             raise RecordError(
                 f"{self._path} has record format {printable(str(written))} of another plumeward version; "
-                f"readable formats: {formats}"
+                f"readable formats: {', '.join(map(str, READABLE))}"
             )
         self.about |= about
         self._format = max(self._format, written)
@@ -253,17 +252,12 @@ class LogFile:
     def _message(self, key: str, ending: str, sequence: int, published_ns: int, data: bytes) -> None:
         newest = self._newest
         if not ending and key in FRAME_KEYS:
-            key = key_today(key, data, self._format)
-            self._begin(Entry(key, published_ns, newest.simulation_s if newest else 0.0, data), sequence)
-        elif not ending:
-            payload, simulation_s = without_time(data)
-            self._begin(Entry(key, published_ns, simulation_s, payload), sequence)
-        elif ending == MALFORMED and key not in FRAME_KEYS:
+            simulation_s = newest.simulation_s if newest else 0.0
+            self._begin(Entry(key_today(key, data, self._format), published_ns, simulation_s, data), sequence)
+        elif ending in ("", MALFORMED) and key not in FRAME_KEYS:
             text, simulation_s = without_time(data)
-            self._begin(
-                Entry(key, published_ns, simulation_s, msgspec.json.decode(text, type=Malformed).payload),
-                sequence,
-            )
+            payload = msgspec.json.decode(text, type=Malformed).payload if ending else text
+            self._begin(Entry(key, published_ns, simulation_s, payload), sequence)
         elif newest is None or sequence != self._sequence:
             return
         elif ending in (PARTICLES, ATTACHMENT):

@@ -103,10 +103,8 @@ def _time_boot_ms(
 
     It reads headers only.
     """
-    for frame in frames_in(payload):
-        if frame.message_id in message_ids and counts(frame):
-            return int.from_bytes(frame.payload[:4], "little")
-    return None
+    ours = (frame for frame in frames_in(payload) if frame.message_id in message_ids and counts(frame))
+    return next((int.from_bytes(frame.payload[:4], "little") for frame in ours), None)
 
 
 # Most readings remembered: repeated and answered ones are among the last few.
@@ -150,11 +148,11 @@ class SimulationClock:
         return (self._newest_ms if own is None else own) / 1000.0
 
     def _boot_ms(self, key: str, payload: bytes) -> int | None:
-        if key == MAVLINK_OUT.name:
-            return _time_boot_ms(payload, OWN_TIME, self._own.sent)
-        if key in FRAME_KEYS and key != MAVLINK_IN.name:  # a ground station has times of its own
-            return _time_boot_ms(payload, OWN_TIME)
-        return None
+        if key not in FRAME_KEYS or key == MAVLINK_IN.name:  # a ground station has times of its own
+            return None
+        return _time_boot_ms(
+            payload, OWN_TIME, lambda frame: key != MAVLINK_OUT.name or self._own.sent(frame)
+        )
 
     def _noted(self, boot_ms: int, time_ms: int) -> int:
         """Return the time of a reading: that at which it first came."""

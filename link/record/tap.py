@@ -1,5 +1,6 @@
 """A tap on the bus: takes all messages, many at once, for the recorder."""
 
+import contextlib
 import queue
 import threading
 import time
@@ -66,12 +67,9 @@ class Tap(Bus):
         """Return the messages that arrived since the last call, in order of publishing."""
         now_ns = time.time_ns()
         self._drain()
-        for _ in range(self._inbox.waiting()):  # new messages keep coming
-            try:
-                item = self._inbox.get(timeout=0)
-            except queue.Empty:  # dropped meanwhile
-                break
-            self._accept(item)
+        with contextlib.suppress(queue.Empty):  # some may be dropped meanwhile
+            for _ in range(self._inbox.waiting()):  # new messages keep coming
+                self._accept(self._inbox.get(timeout=0))
         self._look_after_sequences()
         self._inbox.tell_dropped(self.log)
         self._fullness.tell(self._full, self.log)
