@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from link.access.reach import host_and_port
-from link.access.roles import MOST_VEHICLES, OF_A_VEHICLE, ROUTER, SERVICES, common_name, role_of
+from link.access.roles import NAMESPACES, OF_A_VEHICLE, ROUTER, SERVICES, common_name, role_of
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -70,9 +70,10 @@ def secured(
 def identity(folder: Path, service: str, namespace: str | None) -> Identity:
     """Return the certificate of a service, or of the router; raises AccessError if it cannot be used."""
     role = ROUTER if service == ROUTER else role_of(service)
-    if role in OF_A_VEHICLE and not _is_a_vehicles(namespace):
+    if role in OF_A_VEHICLE and namespace not in NAMESPACES:
         raise AccessError(
-            f"--namespace: {namespace!r} is not allowed with --secure; wanted uav/1 to uav/{MOST_VEHICLES}"
+            f"--namespace: {namespace!r} is not allowed with --secure; wanted "
+            f"{NAMESPACES[0]} to {NAMESPACES[-1]}"
         )
     name = common_name(role, namespace)
     until = _check(folder, name, namespace if role in OF_A_VEHICLE else None)
@@ -88,10 +89,6 @@ def identity(folder: Path, service: str, namespace: str | None) -> Identity:
         "verify_name_on_connect": True,
     }
     return Identity(folder, role, name, tls, until)
-
-
-def _is_a_vehicles(namespace: str | None) -> bool:
-    return namespace in {f"uav/{number}" for number in range(1, MOST_VEHICLES + 1)}
 
 
 def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:

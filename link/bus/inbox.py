@@ -84,18 +84,18 @@ class ServiceNames:
             log.tally.refuse(STRANGER, refused)
             if not self._told:
                 self._told = True
-                wanted = f"wanted ours and at most {MOST_OTHERS} others, of 1 to 64 letters, digits and . _ -"
                 log.warning(
-                    f"refused health/<service>: there are services of too many or of strange names; {wanted}"
+                    "refused health/<service>: there are services of too many or of strange names; wanted "
+                    f"ours and at most {MOST_OTHERS} others, of 1 to 64 letters, digits and . _ -"
                 )
 
 
 class _Lane:
     """The waiting items of one kind, oldest first, each with its number and its size in bytes."""
 
-    def __init__(self, name: str, most: float, newest: bool) -> None:
+    def __init__(self, name: str, most: float, newest: bool = False, urgent: bool = False) -> None:
         self.waiting: deque[tuple[int, Any, int]] = deque()
-        self.urgent = False
+        self.urgent = urgent
         self.dropped = 0
         self.overflow = Overflow(name)
         self._most = most
@@ -131,13 +131,12 @@ class Inbox:
         # signal's handler runs across the deadline (CPython 3.11 and 3.12).
         self._came = threading.Lock()
         self._came.acquire()
-        self._own = _Lane("", math.inf, newest=False)
-        self._lanes = {"": self._own}
+        self._lanes = {"": _Lane("", math.inf)}
         self._count = 0
 
     def put(self, item: Any) -> None:
         """Add an item of the service's own; it is never dropped."""
-        self._add(self._own, item, 0)
+        self._add(self._lanes[""], item, 0)
 
     def lane(
         self, name: str, most: int = WAITING_MESSAGES, *, newest: bool = False, urgent: bool = False
@@ -149,8 +148,7 @@ class Inbox:
         that wait.
         """
         with self._lock:
-            lane = self._lanes.setdefault(name, _Lane(name, 1 if newest else most, newest))
-            lane.urgent = lane.urgent or urgent
+            lane = self._lanes.setdefault(name, _Lane(name, 1 if newest else most, newest, urgent))
         return partial(self._add, lane)
 
     def _add(self, lane: _Lane, item: Any, size: int) -> None:
@@ -166,7 +164,8 @@ class Inbox:
         while True:
             with self._lock:
                 if full := [lane for lane in self._lanes.values() if lane.waiting]:
-                    return min(full, key=_turn).popleft()
+                    # Urgent lanes first, then the one with the oldest item.
+                    return min(full, key=lambda lane: (not lane.urgent, lane.waiting[0][0])).popleft()
             left_s = deadline - time.monotonic()
             if left_s <= 0.0:
                 raise queue.Empty
@@ -183,8 +182,3 @@ class Inbox:
             lanes = [*self._lanes.values()]
         for lane in lanes:
             lane.overflow.tell(lane.dropped, log)
-
-
-def _turn(lane: _Lane) -> tuple[bool, int]:
-    """Order lanes: urgent ones first, then by their oldest item."""
-    return not lane.urgent, lane.waiting[0][0]

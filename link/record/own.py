@@ -10,7 +10,7 @@ from link.bus.frames import Frame
 from link.bus.keys import HEALTH, MAVLINK_OUT
 from link.bus.mavlink import ONBOARD_COMPUTER, BadFrame, split
 
-OWN_HEALTH = HEALTH.name.replace("<service>", "uav")  # with --secure only the vehicle may publish it
+OWN_HEALTH = HEALTH.named("uav")  # with --secure only the vehicle may publish it
 
 
 class _Told(msgspec.Struct):
