@@ -116,14 +116,9 @@ def leave() -> NoReturn:
     os._exit(1 if _lost_thread else INTERRUPTED)
 
 
-def unanswered() -> bool:
-    """Whether a signal has come that could not be answered yet."""
-    return _unanswered_since is not None
-
-
-def lost_thread() -> bool:
-    """Whether a thread has died. The command then fails."""
-    return _lost_thread
+def is_ending() -> bool:
+    """Whether a signal has come that could not be answered yet, or a thread has died."""
+    return _unanswered_since is not None or _lost_thread
 
 
 def _interrupt(number: int) -> None:

@@ -71,9 +71,14 @@ def evaluate(
         raise ValueError("wanted one policy, one world, one scenario and one worker at least")
     check_knowledge(assume, knowledge)
     knowledge["assume"] = assume
-    seeds = range(first_seed, first_seed + scenarios)
     sweep = Sweep(
-        names, seeds, (particles,), (chosen(threshold_m, stop),), budget, knowledge=knowledge, worlds=worlds
+        names,
+        range(first_seed, first_seed + scenarios),
+        (particles,),
+        (chosen(threshold_m, stop),),
+        budget,
+        knowledge=knowledge,
+        worlds=worlds,
     )
     by_seed = (list(flights) for _, flights in groupby(sweep.flights, key=lambda flight: flight[2]))
     flown = (

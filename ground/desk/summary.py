@@ -242,8 +242,8 @@ def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
             if entry.key == "reading":
                 yield "reading", structs.asdict(decode_reading(entry.payload))
             else:
-                for message in decode(entry.payload):
-                    yield f"{entry.key}/{message.kind}", json.loads(message.fields)
+                for kind, fields in decode(entry.payload):
+                    yield f"{entry.key}/{kind}", json.loads(fields)
         return
     try:
         fields = json.loads(entry.payload)

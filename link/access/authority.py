@@ -71,11 +71,10 @@ def make(
     """
     begins = (now or datetime.datetime.now(datetime.UTC)) - EARLIER
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    made = []
     if new := not _there(folder / CA, force=False):
         _make_ca(folder, begins)
     ca = _read_ca(folder)
-    made.append(Made(CA, ca.certificate.not_valid_after_utc, new))
+    made = [Made(CA, ca.certificate.not_valid_after_utc, new)]
     names = [
         ROUTER,
         *OF_ALL_VEHICLES,
@@ -86,17 +85,13 @@ def make(
         raise CertificateError(f"{folder / 'ca.pem'} has expired: make a new CA, in another folder")
     for name in names:
         path = folder / name
-        if not _there(path, force=force):
+        if new := not _there(path, force=force):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             _issue(path, name, hosts, ca, begins, until)
-            made.append(Made(name, until, True))
-        else:
-            kept = _read(path)
-            if not issued(kept, ca.certificate):
-                raise CertificateError(
-                    f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {REPLACE}"
-                )
-            made.append(Made(name, kept.not_valid_after_utc, False))
+        certificate = _read(path)
+        if not issued(certificate, ca.certificate):
+            raise CertificateError(f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {REPLACE}")
+        made.append(Made(name, certificate.not_valid_after_utc, new))
     return made
 
 
@@ -110,9 +105,8 @@ def risks(folder: Path) -> list[str]:
         )
     for place in (there, *there.parents):
         mode = place.stat().st_mode
-        if mode & stat.S_IWOTH and (
-            place == there or not mode & stat.S_ISVTX
-        ):  # in a sticky folder others cannot rename ours
+        # In a sticky folder others cannot rename ours.
+        if mode & stat.S_IWOTH and (place == there or not mode & stat.S_ISVTX):
             said.append(
                 f"{place} may be written by everybody: others can replace certificates and keys (forbid it "
                 f"with: chmod o-w {place})"
@@ -161,9 +155,8 @@ def _name(text: str) -> x509.Name:
 
 def _make_ca(folder: Path, begins: datetime.datetime) -> None:
     key, number = ec.generate_private_key(ec.SECP256R1()), x509.random_serial_number()
-    name = _name(
-        f"Plumeward development CA {number:x}"[:40]
-    )  # its own name: it distinguishes one CA from another
+    # Its own name: it distinguishes one CA from another.
+    name = _name(f"Plumeward development CA {number:x}"[:40])
     certificate = (
         x509.CertificateBuilder()
         .subject_name(name)
@@ -239,10 +232,11 @@ def _usage(*, signs: bool) -> x509.KeyUsage:
 
 def _write(path: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
     pem, secret = files(path)
-    unlocked = serialization.NoEncryption()
     _put(
         secret,
-        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, unlocked),
+        key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        ),
         0o600,
     )
     _put(pem, certificate.public_bytes(serialization.Encoding.PEM), 0o644)

@@ -33,21 +33,19 @@ class Identity(NamedTuple):
 
         Empty if it is still valid.
         """
-        if datetime.datetime.now(datetime.UTC) <= self.until:
-            return ""
-        return (
+        words = (
             f"the certificate {self.name} expired on {self.until:%Y-%m-%d}: renew it with plumeward "
             "certs, and start this part again"
         )
+        return words if datetime.datetime.now(datetime.UTC) > self.until else ""
 
     def lack(self, roles: tuple[str, ...], what: str, service: str | None = None) -> str:
         """Return which right it lacks to do `what`, if only these roles may; empty if none.
 
         With a service, it must be of its role too.
         """
-        if self.role in roles and (service is None or service in SERVICES[self.role]):
-            return ""
-        return f"the certificate {self.name} has no right to {what}: the router drops it"
+        may = self.role in roles and (service is None or service in SERVICES[self.role])
+        return "" if may else f"the certificate {self.name} has no right to {what}: the router drops it"
 
 
 def secured(
@@ -102,13 +100,12 @@ def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
 
     read = {}
     for file in ("ca.pem", f"{name}.pem", f"{name}.key"):
-        path = folder / file
         try:
-            read[file] = path.read_bytes()
+            read[file] = (folder / file).read_bytes()
         except OSError as error:
             more = f" --vehicles {namespace.removeprefix('uav/')}" if namespace else ""
             raise AccessError(
-                f"--secure: cannot read {path}: {error.strerror} (make it with: plumeward certs "
+                f"--secure: cannot read {folder / file}: {error.strerror} (make it with: plumeward certs "
                 f"{folder}{more})"
             ) from None
     path = folder / f"{name}.pem"
@@ -218,13 +215,11 @@ def _refusal(error: OSError, known: Identity) -> str:
 
 
 def _of_the_router(said: str, host: str, known: Identity) -> str:
-    if "mismatch" in said:
-        return (
-            f"its certificate is not for {host} (make one with: plumeward certs {known.folder} --router "
-            f"{host}, after deleting it)"
-        )
-    if "purpose" in said:
-        return "its certificate is not a router's"
-    if "expired" in said:
-        return "its certificate has expired"
-    return f"its certificate is not from the CA of {known.folder / 'ca.pem'}"
+    meant = {
+        "mismatch": f"is not for {host} (make one with: plumeward certs {known.folder} --router {host}, "
+        "after deleting it)",
+        "purpose": "is not a router's",
+        "expired": "has expired",
+        "": f"is not from the CA of {known.folder / 'ca.pem'}",  # whatever else is said
+    }
+    return f"its certificate {next(fault for word, fault in meant.items() if word in said)}"

@@ -190,11 +190,10 @@ def pack_reading(codec: Codec, reading: Reading) -> bytes:
     Velocities are 0: the vehicle is at rest when it samples.
     """
     x, y = reading.position
-    position = mavlink.MAVLink_local_position_ned_message(
-        reading.time_boot_ms, y, x, -reading.altitude_m, 0.0, 0.0, 0.0
-    )
     return codec.pack(
-        position,
+        mavlink.MAVLink_local_position_ned_message(
+            reading.time_boot_ms, y, x, -reading.altitude_m, 0.0, 0.0, 0.0
+        ),
         wind_message(reading.time_boot_ms, reading.wind),
         gas_message(reading.time_boot_ms, reading.gas),
     )

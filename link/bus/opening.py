@@ -146,12 +146,11 @@ def kept_of(session: zenoh.Session, key: Key) -> list[tuple[bytes, bytes | None]
     """Return the messages of a key that this session itself keeps, oldest first, with their attachments."""
     if not (most := key.delivery.kept) or "<" in key.name:
         return []
-    replies = ask_for_kept(
-        session, key.name, most, zenoh.handlers.FifoChannel(most), zenoh.Locality.SESSION_LOCAL
-    )
     return [
         (sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else None)
-        for reply in replies
+        for reply in ask_for_kept(
+            session, key.name, most, zenoh.handlers.FifoChannel(most), zenoh.Locality.SESSION_LOCAL
+        )
         if (sample := reply.ok)
     ]
 

@@ -254,8 +254,7 @@ class Bus:
     def _accept(self, item: Any) -> None:
         """Make an item of the inbox ready, with those that waited for it."""
         if isinstance(item, Arrival) and item.number:
-            sequence = self._sequences[item.key.name]
-            self._ready += sequence.arrived(*item.number, item, time.monotonic())
+            self._ready += self._sequences[item.key.name].arrived(*item.number, item, time.monotonic())
         else:
             self._ready.append(item)
 
@@ -301,10 +300,9 @@ class Bus:
 
     def services(self) -> set[str]:
         """Return the names of the services present, by their liveliness tokens."""
-        replies = self._session.liveliness().get(HEALTH.named())
         return {
             name
-            for reply in replies
+            for reply in self._session.liveliness().get(HEALTH.named())
             if reply.ok is not None and self._names.admits(name := service_of(reply.ok.key_expr))
         }
 

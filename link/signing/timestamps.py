@@ -53,8 +53,7 @@ class Timestamps:
         self._latest: dict[Stream, int] = {}
         # A warning that waits to be logged: the file cannot be written, or a sender is far ahead.
         self.notice = ""
-        self._failed = self._ahead = False
-        self._written = 0  # how many lines have been written
+        self._failed = self._ahead = self._unsynced = False
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         except OSError as error:
@@ -174,7 +173,7 @@ class Timestamps:
         self._remember(FORGOTTEN, timestamp)
 
     def _write(self, number: int, line: bytes) -> None:
-        self._written += 1
+        self._unsynced = True
         try:
             os.pwrite(self._file, line, number * len(EMPTY))
         except OSError as error:
@@ -187,10 +186,9 @@ class Timestamps:
 
     def _keep(self) -> None:
         """Bring what is written to the disk, until the end."""
-        kept = -1
         while not self._closed.wait(KEPT_EVERY_S):
-            if self._written != kept:
-                kept = self._written
+            if self._unsynced:
+                self._unsynced = False
                 with suppress(OSError):
                     os.fdatasync(self._file)
 
