@@ -89,11 +89,8 @@ def main() -> int | None:
     if name not in PACKAGES:
         return cli.start(f"plumeward {name}", command, words[1:])
     package = import_module(f"{command.module}.__main__")
-    status: int | None
-    if name in SERVICES:
-        status = package.main(f"plumeward {name}", words[1:])
-    else:
-        status = package.main("plumeward", words)
+    prog, rest = (f"plumeward {name}", words[1:]) if name in SERVICES else ("plumeward", words)
+    status: int | None = package.main(prog, rest)
     return status
 
 

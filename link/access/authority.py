@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from link.access.identity import issued
+from link.access.identity import AccessError, issued
 from link.access.roles import OF_A_VEHICLE, OF_ALL_VEHICLES, ROUTER, common_name
 
 CA = "ca"
@@ -32,10 +32,6 @@ class Made(NamedTuple):
     name: str
     until: datetime.datetime
     new: bool
-
-
-class CertificateError(Exception):
-    """Certificates cannot be made; the text is one line."""
 
 
 class _Issuer(NamedTuple):
@@ -67,7 +63,7 @@ def make(
     Returns all of them.
 
     hosts: names and addresses at which clients reach the router.  days: how long the certificates hold.
-    Raises CertificateError if files are damaged or half there, OSError if they cannot be read or written.
+    Raises AccessError if files are damaged or half there, OSError if they cannot be read or written.
     """
     begins = (now or datetime.datetime.now(datetime.UTC)) - EARLIER
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -82,7 +78,7 @@ def make(
     ]
     until = min(begins + datetime.timedelta(days=days) + EARLIER, ca.certificate.not_valid_after_utc)
     if until <= begins:
-        raise CertificateError(f"{folder / 'ca.pem'} has expired: make a new CA, in another folder")
+        raise AccessError(f"{folder / 'ca.pem'} has expired: make a new CA, in another folder")
     for name in names:
         path = folder / name
         if new := not _there(path, force=force):
@@ -90,7 +86,7 @@ def make(
             _issue(path, name, hosts, ca, begins, until)
         certificate = _read(path)
         if not issued(certificate, ca.certificate):
-            raise CertificateError(f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {REPLACE}")
+            raise AccessError(f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {REPLACE}")
         made.append(Made(name, certificate.not_valid_after_utc, new))
     return made
 
@@ -125,7 +121,7 @@ def _there(path: Path, *, force: bool) -> bool:
     if len(there) == 1 and not force:
         missing = next(file for file in files(path) if file != there[0])
         what = "certificates are made where both are" if path.name == CA else "delete it, or give --force"
-        raise CertificateError(f"{there[0]} is there without {missing.name}: {what}")
+        raise AccessError(f"{there[0]} is there without {missing.name}: {what}")
     return bool(there) and not force
 
 
@@ -135,7 +131,7 @@ def _read(path: Path) -> x509.Certificate:
         return x509.load_pem_x509_certificate(pem.read_bytes())
     except ValueError:
         what = "make a new CA, in another folder" if path.name == CA else REPLACE
-        raise CertificateError(f"{pem} is not a certificate: {what}") from None
+        raise AccessError(f"{pem} is not a certificate: {what}") from None
 
 
 def _read_ca(folder: Path) -> _Issuer:
@@ -145,7 +141,7 @@ def _read_ca(folder: Path) -> _Issuer:
     except (ValueError, TypeError):
         key = None
     if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
-        raise CertificateError(f"{file} is not the key of ca.pem")
+        raise AccessError(f"{file} is not the key of ca.pem")
     return _Issuer(certificate, key)
 
 

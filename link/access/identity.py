@@ -16,7 +16,7 @@ PROBE_S = 1.0  # how long a router that does not answer is asked why
 
 
 class AccessError(Exception):
-    """A certificate is missing or cannot be used; the text is one line."""
+    """A certificate is missing, or cannot be made or used; the text is one line."""
 
 
 class Identity(NamedTuple):

@@ -28,13 +28,20 @@ OURS = frozenset(name for names in SERVICES.values() for name in names)
 # of names.
 MOST_OTHERS = 16
 NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")  # what the name of another service may be
+# Why messages are dropped.
+TOO_FAST = "messages arrive faster than they are processed; some of the waiting ones are dropped"
+TOO_STRANGE = (
+    f"there are services of too many or of strange names; wanted ours and at most {MOST_OTHERS} others, of 1 "
+    "to 64 letters, digits and . _ -"
+)
 
 
-class Overflow:
-    """Counts messages that were dropped because too many waited, and logs each burst once."""
+class Drops:
+    """Counts the messages of a key that were dropped, and logs each burst of them once."""
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    def __init__(self, name: str, kind: str = OVERFLOW, why: str = TOO_FAST) -> None:
+        self._kind = kind
+        self._line = f"refused {name}: {why}"
         self._reported = 0
         self._reported_at = -math.inf
 
@@ -43,13 +50,10 @@ class Overflow:
         if (count := dropped - self._reported) == 0:
             return
         self._reported = dropped
-        log.tally.refuse(OVERFLOW, count)
+        log.tally.refuse(self._kind, count)
         now_s = log.tally.now_s()
         if now_s - self._reported_at >= BURST_S:
-            log.warning(
-                f"refused {self._name}: messages arrive faster than they are processed; some of the waiting "
-                "ones are dropped"
-            )
+            log.warning(self._line)
         self._reported_at = now_s
 
 
@@ -63,7 +67,7 @@ class ServiceNames:
         self._lock = threading.Lock()
         self._others: set[str] = set()
         self._refused = 0
-        self._told = False
+        self._drops = Drops("health/<service>", STRANGER, TOO_STRANGE)
 
     def admits(self, name: str) -> bool:
         """Whether a service of this name is admitted. If not, it is counted."""
@@ -77,17 +81,8 @@ class ServiceNames:
             return True
 
     def tell(self, log: Log) -> None:
-        """Count what has been refused since the last call; the first time, log it too."""
-        with self._lock:
-            refused, self._refused = self._refused, 0
-        if refused:
-            log.tally.refuse(STRANGER, refused)
-            if not self._told:
-                self._told = True
-                log.warning(
-                    "refused health/<service>: there are services of too many or of strange names; wanted "
-                    f"ours and at most {MOST_OTHERS} others, of 1 to 64 letters, digits and . _ -"
-                )
+        """Count and log what has been refused since the last call."""
+        self._drops.tell(self._refused, log)
 
 
 class _Lane:
@@ -97,7 +92,7 @@ class _Lane:
         self.waiting: deque[tuple[int, Any, int]] = deque()
         self.urgent = urgent
         self.dropped = 0
-        self.overflow = Overflow(name)
+        self.drops = Drops(name)
         self._most = most
         self._newest = newest
         self._bytes = 0
@@ -181,4 +176,4 @@ class Inbox:
         with self._lock:
             lanes = [*self._lanes.values()]
         for lane in lanes:
-            lane.overflow.tell(lane.dropped, log)
+            lane.drops.tell(lane.dropped, log)

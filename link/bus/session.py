@@ -15,7 +15,7 @@ import zenoh
 
 from link.access.identity import secured
 from link.access.roles import OF_ALL_VEHICLES
-from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow, ServiceNames
+from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Drops, Inbox, ServiceNames
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
 from link.bus.messages import Health, Stop, stop_text
@@ -141,7 +141,7 @@ class Bus:
         self._declarations: dict[str, Callable[[zenoh.Session], Any]] = {}
         self._held: dict[str, Any] = {}
         self._sequences: dict[str, Sequence[Arrival]] = {}
-        self._overflows: dict[str, Overflow] = {}
+        self._drops: dict[str, Drops] = {}
         self._names = ServiceNames()
         self._ready: deque[Any] = deque()
         self._given_at = time.monotonic()
@@ -214,7 +214,7 @@ class Bus:
             self._sequences[key.name] = Sequence(
                 most_waiting(key), WAITING_BYTES, lambda arrival: arrival.size
             )
-            self._overflows[key.name] = Overflow(key.name)
+            self._drops[key.name] = Drops(key.name)
 
     def on(self, key: Key, arrived: Callable[[Any], None], *, own: bool = True) -> None:
         """Call `arrived` with each message of a key, kept messages first, in a thread of Zenoh's.
@@ -354,7 +354,7 @@ class Bus:
             if missing:
                 self.log.warning(f"{missing} messages of {name} are lost: no publisher has kept them")
             self._ready += ready
-            self._overflows[name].tell(sequence.dropped, self.log)
+            self._drops[name].tell(sequence.dropped, self.log)
 
     def refuse(self, key: Key, reason: str, kind: str) -> None:
         """Count a dropped message under `kind` and log the reason.

@@ -88,9 +88,8 @@ def _encoded(fields: dict[str, Any]) -> bytes:
 
 
 def _is_finite(value: Any) -> bool:
-    if isinstance(value, float):
-        return math.isfinite(value)
-    return not isinstance(value, list) or all(map(_is_finite, value))
+    values = value if isinstance(value, list) else [value]
+    return all(math.isfinite(each) for each in values if isinstance(each, float))
 
 
 def struct_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:

@@ -85,7 +85,18 @@ class Recording(NamedTuple):
     @property
     def shortcoming(self) -> str:
         """What people should know of it, after its name: `is cut off ...`; empty if it is complete."""
-        return shortcoming(self)
+        if self.complete:
+            return ""
+        if self.damage:
+            places = "; ".join(map(str, self.damage[:LISTED]))
+            more = f"; and {len(self.damage) - LISTED:,} more places" * (len(self.damage) > LISTED)
+            return f"is damaged, and lacks {places}{more}"
+        reason = self.about.get(STOPPED)
+        return (
+            f"ends early: {printable(str(reason))}"
+            if reason
+            else "is cut off, damaged or still being written: what follows is missing"
+        )
 
 
 def is_record(path: Path) -> bool:
@@ -168,7 +179,7 @@ class LogFile:
     @property
     def shortcoming(self) -> str:
         """What people should know of it, after its name: `is cut off ...`; empty if it is complete."""
-        return shortcoming(self)
+        return Recording(self.about, [], self.complete, tuple(self.damage)).shortcoming
 
     def _read(self, file: IO[bytes], size: int) -> Iterator[Entry]:
         pieces, self._may_unpack = Pieces(file, size), max(SMALL, MOST_RATIO * size)
@@ -279,19 +290,3 @@ UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
     "lz4": lambda data, size: lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size),
     "zstd": lambda data, size: zstandard.ZstdDecompressor().stream_reader(data).read(size),
 }
-
-
-def shortcoming(log: Recording | LogFile) -> str:
-    """Return what people should know of a log, after its name: `is cut off ...`; empty if it is complete."""
-    if log.complete:
-        return ""
-    if log.damage:
-        places = "; ".join(map(str, log.damage[:LISTED]))
-        more = f"; and {len(log.damage) - LISTED:,} more places" * (len(log.damage) > LISTED)
-        return f"is damaged, and lacks {places}{more}"
-    reason = log.about.get(STOPPED)
-    return (
-        f"ends early: {printable(str(reason))}"
-        if reason
-        else "is cut off, damaged or still being written: what follows is missing"
-    )

@@ -78,7 +78,7 @@ def key_today(key: str, payload: bytes, written: int) -> str:
     frame = frame_at(payload) if written < FORMAT and key == MAVLINK_IN.name else None
     return (
         WAYPOINT.name
-        if frame and frame.message_id in SETPOINT and frame.component == ONBOARD_COMPUTER
+        if frame and frame.message_id in ANSWER_TIME and frame.component == ONBOARD_COMPUTER
         else key
     )
 
@@ -93,7 +93,7 @@ class _Timed(msgspec.Struct):
 # ATTITUDE, LOCAL_POSITION_NED and GLOBAL_POSITION_INT begin with the vehicle's own time_boot_ms.
 OWN_TIME = {30, 32, 33}
 # SET_POSITION_TARGET_LOCAL_NED begins with the time_boot_ms of the reading it answers.
-SETPOINT = {84}
+ANSWER_TIME = {84}
 
 
 def _time_boot_ms(
@@ -137,8 +137,8 @@ class SimulationClock:
                 answered = msgspec.json.decode(payload, type=_Timed).time_boot_ms
                 own = self._readings.get(answered, answered)
         elif key == WAYPOINT.name:
-            if (setpoint := _time_boot_ms(payload, SETPOINT)) is not None:
-                own = self._readings.get(setpoint)  # it may answer none
+            if (answered_ms := _time_boot_ms(payload, ANSWER_TIME)) is not None:
+                own = self._readings.get(answered_ms)  # it may answer none
         elif (boot_ms := self._boot_ms(key, payload)) is not None:
             own = continued(self._newest_ms, boot_ms)
             if key == READING.name:

@@ -10,7 +10,7 @@ from typing import Any
 
 import zenoh
 
-from link.bus.inbox import Overflow
+from link.bus.inbox import Drops
 from link.bus.keys import HEALTH, Key
 from link.bus.opening import DEFAULT_ROUTER
 from link.bus.session import Arrival, Bus, most_waiting
@@ -43,7 +43,7 @@ class Tap(Bus):
         self._rings: dict[str, Ring] = {}
         self._draining = threading.Lock()
         self._full = 0
-        self._fullness = Overflow("messages")
+        self._fullness = Drops("messages")
         self._ended = threading.Event()
         # Each message keeps its receive buffer. With the default of 64 kB, clearing the buffers is half the
         # cost of receiving.

@@ -75,10 +75,15 @@ class Writer:
 
     def write(self, entry: Entry, received_ns: int) -> None:
         """Write one message with its decoded copies and its attachment. Call it in order of `received_ns`."""
-        if entry.key in FRAME_KEYS:
-            self._write_frames(entry, received_ns)
-        else:
-            self._write_json(entry, received_ns)
+        try:
+            if entry.key in FRAME_KEYS:
+                self._write_frames(entry, received_ns)
+            else:
+                DECODERS[row(entry.key)].decode(entry.payload)
+                self._add(entry, "", received_ns, with_time(entry.payload, entry.simulation_s))
+        except (BadFrame, msgspec.DecodeError, UnicodeDecodeError) as error:
+            text = encode(Malformed(str(error), entry.payload))
+            self._add(entry, MALFORMED, received_ns, with_time(text, entry.simulation_s))
         if entry.attachment:
             self._add(
                 entry, PARTICLES if entry.key == BELIEF.name else ATTACHMENT, received_ns, entry.attachment
@@ -105,40 +110,17 @@ class Writer:
             self._channels[topic, ""] = channel
         self._put(channel, received_ns, data, received_ns)
 
-    def _write_json(self, entry: Entry, received_ns: int) -> None:
-        try:
-            DECODERS[row(entry.key)].decode(entry.payload)
-        except (msgspec.DecodeError, UnicodeDecodeError) as error:
-            self._add_malformed(entry, received_ns, str(error))
-        else:
-            self._add(entry, "", received_ns, with_time(entry.payload, entry.simulation_s))
-
     def _write_frames(self, entry: Entry, received_ns: int) -> None:
         self._add(entry, "", received_ns, entry.payload)
-        try:
-            for frame in split(entry.payload):
-                self._tlog.add(entry.published_ns, received_ns, frame.data)
-            if entry.key == READING.name:
-                self._add(
-                    entry,
-                    DECODED,
-                    received_ns,
-                    with_time(encode(decode_reading(entry.payload)), entry.simulation_s),
-                )
-            else:
-                ending = time_field(entry.simulation_s)
-                for kind, fields in decode(entry.payload):
-                    self._add(entry, kind, received_ns, fields[:-1] + ending)
-        except BadFrame as error:
-            self._add_malformed(entry, received_ns, str(error))
-
-    def _add_malformed(self, entry: Entry, received_ns: int, reason: str) -> None:
-        self._add(
-            entry,
-            MALFORMED,
-            received_ns,
-            with_time(encode(Malformed(reason, entry.payload)), entry.simulation_s),
-        )
+        for frame in split(entry.payload):
+            self._tlog.add(entry.published_ns, received_ns, frame.data)
+        if entry.key == READING.name:
+            text = encode(decode_reading(entry.payload))
+            self._add(entry, DECODED, received_ns, with_time(text, entry.simulation_s))
+        else:
+            ending = time_field(entry.simulation_s)
+            for kind, fields in decode(entry.payload):
+                self._add(entry, kind, received_ns, fields[:-1] + ending)
 
     def _add(self, entry: Entry, ending: str, received_ns: int, data: bytes) -> None:
         channel = self._channels.get((entry.key, ending)) or self._open_channel(entry.key, ending)
