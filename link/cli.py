@@ -95,7 +95,6 @@ class Parser(argparse.ArgumentParser):
                 )
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse a value that is not among an argument's choices."""
         if action.choices is None or value in action.choices:
             return
         names = [str(choice) for choice in action.choices]
@@ -409,7 +408,6 @@ def run(command: Callable[[], int | None]) -> NoReturn:
 
 
 def _status(command: Callable[[], int | None]) -> int:
-    """Run a command; returns its status."""
     try:
         try:
             status = command() or 0

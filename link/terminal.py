@@ -67,8 +67,11 @@ def _total(columns: Sequence[Column]) -> int:
 
 def _stacked(column: Column) -> Column:
     if column.stacks:
-        cells = [cell.replace(" ", "\n", 1) for cell in column.cells]
-        return replace(column, heading=column.heading.replace(", ", "\n"), cells=cells)
+        return replace(
+            column,
+            heading=column.heading.replace(", ", "\n"),
+            cells=[cell.replace(" ", "\n", 1) for cell in column.cells],
+        )
     room = max(replace(column, heading="").width, LONGEST_WORD)
     return replace(column, heading="\n".join(textwrap.wrap(column.heading, room, break_long_words=False)))
 

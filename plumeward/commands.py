@@ -62,8 +62,6 @@ def help_text() -> str:
 
 
 class _Front(cli.Parser):
-    """The parser of `plumeward` itself."""
-
     def format_help(self) -> str:
         return help_text()
 

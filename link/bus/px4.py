@@ -37,7 +37,6 @@ def _message_type(number: int, name: str, *fields: Field) -> Any:
         return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))
 
     names = [field.name for field in fields]
-    form = "<" + "".join(f"{field.length or ''}{CODES[field.kind]}" for field in fields)
     attributes = {
         "id": number,
         "msgname": name,
@@ -46,7 +45,9 @@ def _message_type(number: int, name: str, *fields: Field) -> Any:
         "fieldtypes": [field.kind for field in fields],
         "array_lengths": [field.length for field in fields],
         "crc_extra": _crc_extra(name, fields),
-        "unpacker": struct.Struct(form),
+        "unpacker": struct.Struct(
+            "<" + "".join(f"{field.length or ''}{CODES[field.kind]}" for field in fields)
+        ),
         "__init__": init,
         "pack": pack,
     }

@@ -322,10 +322,7 @@ class Bus:
         """
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while not self._ready:
-            self._look_after_sequences()
-            self._inbox.tell_dropped(self.log)
-            self._names.tell(self.log)
-            self.keep_health()
+            self._look_after()
             left_s = deadline - time.monotonic()
             if left_s < -SIGNAL_POLL_S:
                 return None  # a flood of duplicates must not extend the wait
@@ -341,7 +338,8 @@ class Bus:
             self._given_at = item.at
         return item
 
-    def _look_after_sequences(self) -> None:
+    def _look_after(self) -> None:
+        """Ask again for missing messages, log what was lost or dropped, and publish health if it is time."""
         now_s = time.monotonic()
         for name, sequence in self._sequences.items():
             if sequence.should_ask_again(now_s):
@@ -355,6 +353,9 @@ class Bus:
                 self.log.warning(f"{missing} messages of {name} are lost: no publisher has kept them")
             self._ready += ready
             self._drops[name].tell(sequence.dropped, self.log)
+        self._inbox.tell_dropped(self.log)
+        self._names.tell(self.log)
+        self.keep_health()
 
     def refuse(self, key: Key, reason: str, kind: str) -> None:
         """Count a dropped message under `kind` and log the reason.

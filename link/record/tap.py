@@ -47,10 +47,8 @@ class Tap(Bus):
         self._ended = threading.Event()
         # Each message keeps its receive buffer. With the default of 64 kB, clearing the buffers is half the
         # cost of receiving.
-        small = {"transport__link__tx__batch_size": 16_384}
-        super().__init__(
-            service, connect, namespace, log_level=log_level, announced=announced, **small | settings
-        )
+        settings = {"transport__link__tx__batch_size": 16_384} | settings
+        super().__init__(service, connect, namespace, log_level=log_level, announced=announced, **settings)
         self._drainer = threading.Thread(target=self._keep_draining, name="tap", daemon=True)
         self._drainer.start()
 
@@ -70,11 +68,8 @@ class Tap(Bus):
         with contextlib.suppress(queue.Empty):  # some may be dropped meanwhile
             for _ in range(self._inbox.waiting()):  # new messages keep coming
                 self._accept(self._inbox.get(timeout=0))
-        self._look_after_sequences()
-        self._inbox.tell_dropped(self.log)
         self._fullness.tell(self._full, self.log)
-        self._names.tell(self.log)
-        self.keep_health()
+        self._look_after()
         taken = [
             message._replace(received_ns=min(max(message.published_ns, self._taken_ns), now_ns))
             for message in sorted(self._ready, key=lambda message: message.published_ns)
@@ -119,6 +114,5 @@ class Tap(Bus):
         return True
 
     def _move(self, key: Key, put: Callable[[Any, int], None], sample: zenoh.Sample) -> None:
-        """Put a message into the inbox."""
         if message := self._arrival(key, sample):
             put(message, message.size)

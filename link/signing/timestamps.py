@@ -154,7 +154,6 @@ class Timestamps:
             )
 
     def _remember(self, stream: Stream, timestamp: int) -> None:
-        """Write a timestamp down."""
         if stream not in self._lines:
             while len(self._lines) >= MOST_STREAMS:
                 self._forget()
