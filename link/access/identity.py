@@ -98,24 +98,22 @@ def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
     from cryptography.x509.oid import NameOID
 
-    read = {}
-    for file in ("ca.pem", f"{name}.pem", f"{name}.key"):
-        try:
-            read[file] = (folder / file).read_bytes()
-        except OSError as error:
-            more = f" --vehicles {namespace.removeprefix('uav/')}" if namespace else ""
-            raise AccessError(
-                f"--secure: cannot read {folder / file}: {error.strerror} (make it with: plumeward certs "
-                f"{folder}{more})"
-            ) from None
     path = folder / f"{name}.pem"
     try:
-        ca, own = (x509.load_pem_x509_certificate(read[file]) for file in ("ca.pem", f"{name}.pem"))
+        *pems, secret = (file.read_bytes() for file in (folder / "ca.pem", path, path.with_suffix(".key")))
+    except OSError as error:
+        more = f" --vehicles {namespace.removeprefix('uav/')}" if namespace else ""
+        raise AccessError(
+            f"--secure: cannot read {error.filename}: {error.strerror} (make it with: plumeward certs "
+            f"{folder}{more})"
+        ) from None
+    try:
+        ca, own = map(x509.load_pem_x509_certificate, pems)
         (named,) = own.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     except ValueError:
         raise AccessError(f"--secure: {path} or ca.pem beside it is not a certificate") from None
     try:
-        key = load_pem_private_key(read[f"{name}.key"], None)
+        key = load_pem_private_key(secret, None)
     except (ValueError, TypeError):  # none, or one with a password
         key = None
     now = datetime.datetime.now(datetime.UTC)

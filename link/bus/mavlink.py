@@ -43,21 +43,23 @@ POSITION_ONLY = (
 class Reading(NamedTuple):
     """One sample of gas and wind. All floats are exact float32 values, as on the wire.
 
+    Attributes:
+        time_boot_ms: Milliseconds since the start, modulo 2³²; identifies the reading.
+        position: (x, y) m, x east, y north.
+        altitude_m: Height above home, m.
+        wind: (u cos φ, u sin φ) m/s: points to where the wind comes from.
+        gas: In the sensor's unit: g/m³, or a count of hits.
+
     Example:
         `Reading(0, (2.0, 3.5), 5.0, (1.5, 0.0), 0.42)`: 0.42 g/m³ at (2, 3.5) m, 5 m up, in a wind of 1.5
         m/s from the east.
     """
 
     time_boot_ms: int
-    """Milliseconds since the start, modulo 2³²; identifies the reading."""
     position: tuple[float, float]
-    """(x, y) m, x east, y north."""
     altitude_m: float
-    """Height above home, m."""
     wind: tuple[float, float]
-    """(u cos φ, u sin φ) m/s: points to where the wind comes from."""
     gas: float
-    """In the sensor's unit: g/m³, or a count of hits."""
 
 
 def elapsed_ms(since: int, until: int) -> int:

@@ -51,36 +51,40 @@ class RecordError(Exception):
 
 
 class Damage(NamedTuple):
-    """A place of a log that cannot be read."""
+    """A place of a log that cannot be read.
+
+    Attributes:
+        at: Where it begins in the file, bytes.
+        size: How much is lost, bytes.
+        after_s: Simulation time of the message before it, s; 0 if there is none.
+        before: How many messages come before it.
+    """
 
     at: int
-    """Where it begins in the file, bytes."""
     size: int
-    """How much is lost, bytes."""
     after_s: float
-    """Simulation time of the message before it, s; 0 if there is none."""
     before: int
-    """How many messages come before it."""
 
     def __str__(self) -> str:
         return f"{self.size:,} bytes at byte {self.at:,}, after {self.after_s:.2f} s of simulation"
 
 
 class Recording(NamedTuple):
-    """The contents of a log."""
+    """The contents of a log.
+
+    Attributes:
+        about: The run's description by the launcher, with versions, git revision, host and namespace; empty
+            if the file has none.
+        entries: All messages, in the order of recording.
+        complete: False if the file is truncated or damaged, or if recording stopped early; in the latter
+            case about["stopped"] gives the reason.
+        damage: The places that are left out because they cannot be read.
+    """
 
     about: dict[str, Any]
-    """The run's description by the launcher, with versions, git revision, host and namespace; empty if the
-    file has none.
-    """
     entries: list[Entry]
-    """All messages, in the order of recording."""
     complete: bool
-    """False if the file is truncated or damaged, or if recording stopped early; in the latter case
-    about["stopped"] gives the reason.
-    """
     damage: tuple[Damage, ...] = ()
-    """The places that are left out because they cannot be read."""
 
     @property
     def shortcoming(self) -> str:

@@ -43,14 +43,19 @@ HEALTH_PREFIX = HEALTH.name.removesuffix("<service>")
 
 
 class Entry(NamedTuple):
-    """One message of a run."""
+    """One message of a run.
+
+    Attributes:
+        key: Relative to the vehicle's namespace: `reading`, `mavlink/out`, `health/uav`.
+        published_ns: When it was published, ns since the Unix epoch.
+        simulation_s: Simulation time, s: the message's own if it has one, else the newest known.
+        payload: The message, as it was published.
+        attachment: What came with it: the particles of a belief.
+    """
 
     key: str
-    """Relative to the vehicle's namespace: `reading`, `mavlink/out`, `health/uav`."""
     published_ns: int
-    """When it was published, ns since the Unix epoch."""
     simulation_s: float
-    """Simulation time, s: the message's own if it has one, else the newest known."""
     payload: bytes
     attachment: bytes = b""
 

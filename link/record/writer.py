@@ -104,10 +104,9 @@ class Writer:
         channel = self._channels.get((topic, ""))
         if channel is None:
             name, described = schema()
-            channel = self._mcap.register_channel(
+            channel = self._channels[topic, ""] = self._mcap.register_channel(
                 topic, "protobuf", self._mcap.register_schema(name, "protobuf", described)
             )
-            self._channels[topic, ""] = channel
         self._put(channel, received_ns, data, received_ns)
 
     def _write_frames(self, entry: Entry, received_ns: int) -> None:
@@ -143,9 +142,10 @@ class Writer:
             schema_id = self._mcap.register_schema(
                 schema["title"], "jsonschema", json.dumps(schema, ensure_ascii=False).encode()
             )
-        channel = self._mcap.register_channel(f"{key}/{ending}" if ending else key, encoding, schema_id)
-        self._channels[key, ending] = channel
-        return channel
+        topic = f"{key}/{ending}" if ending else key
+        return self._channels.setdefault(
+            (key, ending), self._mcap.register_channel(topic, encoding, schema_id)
+        )
 
     def flush(self) -> None:
         """Write everything that waits, except frames of the .tlog younger than TLOG_LAG_NS."""

@@ -53,7 +53,8 @@ class Timestamps:
         self._latest: dict[Stream, int] = {}
         # A warning that waits to be logged: the file cannot be written, or a sender is far ahead.
         self.notice = ""
-        self._failed = self._ahead = self._unsynced = False
+        self._failed = self._ahead = False
+        self._unsynced = True  # the file may be new
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         except OSError as error:
