@@ -40,8 +40,7 @@ def on_end(handler: Callable[[int], object]) -> dict[int, Any]:
 
 def let_go_of_the_terminal() -> None:
     """Point stdout and stderr at nothing if their terminal has been closed: a last line there would fail."""
-    closed = [stream for stream in STREAMS if polled(stream) & select.POLLHUP]
-    if closed:
+    if closed := [stream for stream in STREAMS if polled(stream) & select.POLLHUP]:
         discard(closed)
 
 

@@ -233,11 +233,6 @@ def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
     return reading
 
 
-def sender(payload: bytes) -> int:
-    """Return the system id of a payload's first frame; raises BadFrame as `split` does."""
-    return split(payload)[0].system
-
-
 def waypoint_message(
     system: int, answers_time_boot_ms: int, position: tuple[float, float], altitude_m: float
 ) -> Message:

@@ -47,18 +47,16 @@ class Pieces:
 
         Records that mean nothing to us are left out.
         """
-        at = sound = len(
-            MCAP0_MAGIC
-        )  # all before `sound` is surely not the beginning of a chunk that is still to come
+        # All before `sound` is surely not the beginning of a chunk that is still to come.
+        at = sound = len(MCAP0_MAGIC)
         while at < self._size:
             kind, length = self._head(at)
             if not kind:
                 found = self._next_chunk(sound)
                 if found is None:
                     return
-                begin = (
-                    at if found >= at else sound
-                )  # behind it, or within a record that claims to be longer than it is
+                # Behind it, or within a record that claims to be longer than it is.
+                begin = at if found >= at else sound
                 yield Hole(begin, found - begin), None
                 at = sound = found
                 continue
