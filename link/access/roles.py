@@ -26,9 +26,9 @@ SERVICES = {
 # start, and 0.2 MB.
 MOST_VEHICLES = 64
 NAMESPACES = tuple(f"uav/{number}" for number in range(1, MOST_VEHICLES + 1))
-WRITING = ("put", "declare_queryable", "liveliness_token", "reply")
 # Kinds of Zenoh messages that publishers and subscribers send, advanced ones and liveliness included.
-READING = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
+PUBLISHING = ("put", "declare_queryable", "liveliness_token", "reply")
+SUBSCRIBING = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
 
 
 # A key, and the roles that may publish and receive it; OF_ALL_VEHICLES may always receive it.
@@ -54,7 +54,7 @@ def access_control(table: Iterable[Rights]) -> Mapping[str, Any]:
     What comes in is checked; what goes out was asked for by a subscription that has been checked.
     """
     rights = tuple(table)
-    rules = [_rule("out", "egress", (*WRITING, *READING, "delete"), ["**", "**/@adv/**"])]
+    rules = [_rule("out", "egress", (*PUBLISHING, *SUBSCRIBING, "delete"), ["**", "**/@adv/**"])]
     subjects, policies = [], []
     for role in EVERYBODY:
         sees_all = role in OF_ALL_VEHICLES
@@ -65,9 +65,12 @@ def access_control(table: Iterable[Rights]) -> Mapping[str, Any]:
         for space in ("uav/*",) if sees_all else NAMESPACES:
             name = common_name(role, space)
             rules += [
-                _rule(f"{name} writes", "ingress", WRITING, _within(space, written)),
+                _rule(f"{name} writes", "ingress", PUBLISHING, _within(space, written)),
                 _rule(
-                    f"{name} reads", "ingress", READING, [*_within(space, read), f"{space}/nobody", *roster]
+                    f"{name} reads",
+                    "ingress",
+                    SUBSCRIBING,
+                    [*_within(space, read), f"{space}/nobody", *roster],
                 ),
             ]
             subjects.append({"id": name, "cert_common_names": [name]})

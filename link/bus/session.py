@@ -389,10 +389,10 @@ class Bus:
 
     def answered(self) -> None:
         """Report that the last received message has been answered: log its latency and publish health."""
-        tally = self.tally
-        tally.latency_s = time.monotonic() - self._given_at
+        self.tally.latency_s = time.monotonic() - self._given_at
         self.log.debug(
-            f"answered after {1000 * tally.latency_s:.2f} ms; {1000 * tally.compute_s:.2f} ms computed so far"
+            f"answered after {1000 * self.tally.latency_s:.2f} ms; {1000 * self.tally.compute_s:.2f} ms "
+            "computed so far"
         )
         self.publish_health()
 
