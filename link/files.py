@@ -74,7 +74,8 @@ class Appender:
 
     def __init__(self, path: Path) -> None:
         """Create an empty file; raises OSError if that fails, or if another process is writing it."""
-        self._file = open(path, "wb", buffering=0, opener=_as_it_is)  # noqa: SIM115
+        # Opened as it is, not emptied: it may be another process's.
+        self._file = open(os.open(str(path), os.O_WRONLY | os.O_CREAT, 0o666), "wb", buffering=0)  # noqa: SIM115
         self._size = 0
         self._piece = bytearray()  # waits for the next flush
         try:
@@ -111,8 +112,3 @@ class Appender:
     def close(self) -> None:
         """Close the file, without what waits."""
         self._file.close()
-
-
-def _as_it_is(path: str, flags: int) -> int:
-    """Open a file without emptying it: it may be another process's."""
-    return os.open(path, flags & ~os.O_TRUNC, 0o666)

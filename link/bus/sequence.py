@@ -57,10 +57,9 @@ class Sequence(Generic[T]):
         if len(self._sources) > MOST_SOURCES:
             forgotten = self._sources.pop(next(iter(self._sources)))
             self.dropped += len(self._release(forgotten, list(forgotten.waiting)))
-        if number < state.next_number or number in state.waiting:
-            return []
-        if number > state.next_number:
+        if number > state.next_number and number not in state.waiting:
             self._wait(state, number, message, now_s)
+        if number != state.next_number:
             return []
         ready = [message]
         state.next_number += 1

@@ -327,12 +327,10 @@ class Bus:
             if left_s < -SIGNAL_POLL_S:
                 return None  # a flood of duplicates must not extend the wait
             try:
-                item = self._inbox.get(timeout=min(SIGNAL_POLL_S, max(left_s, 0.0)))
+                self._accept(self._inbox.get(timeout=min(SIGNAL_POLL_S, max(left_s, 0.0))))
             except queue.Empty:
                 if left_s <= SIGNAL_POLL_S:
                     return None
-                continue
-            self._accept(item)
         item = self._ready.popleft()
         if isinstance(item, Arrival):
             self._given_at = item.at
