@@ -162,11 +162,10 @@ class Layout(NamedTuple):
 
 def _layout(message: Any) -> Layout:
     types = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
-    counts, offsets, at = {}, {}, 0
-    for name, length in zip(message.ordered_fieldnames, message.array_lengths, strict=True):
-        counts[name] = 1 if types[name] == "char" else max(length, 1)
-        offsets[name] = at
-        at += SIZES[types[name]] * max(length, 1)
+    lengths = dict(zip(message.ordered_fieldnames, message.array_lengths, strict=True))  # 0: no array
+    counts = {name: 1 if types[name] == "char" else max(length, 1) for name, length in lengths.items()}
+    sizes = [SIZES[types[name]] * max(length, 1) for name, length in lengths.items()]
+    offsets = dict(zip(lengths, itertools.accumulate([0, *sizes]), strict=False))
     return Layout(
         message.msgname,
         message.unpacker.size,

@@ -12,7 +12,7 @@ from link.bus.frames import (
     SIGNED,
     Frame,
     checksums,
-    frame_at,
+    frames_in,
     messages_in,
 )
 
@@ -118,32 +118,27 @@ def split(payload: bytes) -> list[Frame]:
 
     The checksum of a frame of unknown type cannot be verified: it is accepted as it is.
     """
-    frames, at = [], 0
-    while at < len(payload):
-        frame = frame_at(payload, at)
-        if frame is None:
-            raise BadFrame(f"malformed frame: {_fault(payload, at)}")
-        layout = LAYOUTS.get(frame.message_id)
-        if layout is not None:
+    frames = list(frames_in(payload))
+    at = sum(len(frame.data) for frame in frames)
+    if not frames or at < len(payload):
+        raise BadFrame(f"malformed frame: {_fault(payload[at:])}")
+    for frame in frames:
+        if layout := LAYOUTS.get(frame.message_id):
             received, right = checksums(frame, layout.seed)
             if received != right:
                 raise BadFrame(
                     f"malformed frame: invalid MAVLink CRC in msgID {frame.message_id} 0x{received:04x} "
                     f"should be 0x{right:04x}"
                 )
-        frames.append(frame)
-        at += len(frame.data)
-    if not frames:
-        raise BadFrame(f"malformed frame: {NOT_WHOLE}")
     return frames
 
 
-def _fault(payload: bytes, at: int) -> str:
-    """Return the reason why no frame begins at `at`."""
-    if payload[at] not in (MAVLINK_1, MAVLINK_2):
-        return f"invalid MAVLink prefix '{payload[at]}'"
-    if payload[at] == MAVLINK_2 and (flags := payload[at + 2 : at + 3]) and flags[0] & ~SIGNED:
-        return f"invalid incompat_flags 0x{flags[0]:x}"
+def _fault(rest: bytes) -> str:
+    """Return the reason why these bytes begin with no frame."""
+    if rest and rest[0] not in (MAVLINK_1, MAVLINK_2):
+        return f"invalid MAVLink prefix '{rest[0]}'"
+    if len(rest) > 2 and rest[0] == MAVLINK_2 and rest[2] & ~SIGNED:
+        return f"invalid incompat_flags 0x{rest[2]:x}"
     return NOT_WHOLE
 
 

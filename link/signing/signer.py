@@ -98,10 +98,9 @@ class Signer:
             self._refused[reason] += 1
             if (sender, reason) not in self._told and len(self._told) <= MOST_TOLD:
                 self._told.add((sender, reason))
-                more = len(self._told) > MOST_TOLD
                 self._lines.append(
                     f"{self._url}: more senders are refused; they are only counted from now on"
-                    if more
+                    if len(self._told) > MOST_TOLD
                     else f"{self._url}: {sender}: frames {reason} are refused"
                 )
         return False
