@@ -126,8 +126,7 @@ def _interrupt(number: int) -> None:
     if not _would_be_lost():
         _unanswered_since = None
         raise KeyboardInterrupt
-    if _unanswered_since is None:
-        _unanswered_since = now_s
+    _unanswered_since = _unanswered_since or now_s
     if now_s - _unanswered_since >= LOADING_S:
         leave()  # only a command that has not begun loads for this long: it has nothing to lose
     _lost.put(number)

@@ -87,9 +87,7 @@ def __getattr__(name: str) -> object:
     if name not in WHERE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, _, there = WHERE[name].partition(":")
-    found = getattr(import_module(module), there or name)
-    globals()[name] = found
-    return found
+    return globals().setdefault(name, getattr(import_module(module), there or name))
 
 
 def __dir__() -> list[str]:

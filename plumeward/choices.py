@@ -52,6 +52,9 @@ def run(args: argparse.Namespace) -> int:
         shown = names()
         width = max(map(len, shown)) + 4
         for key, about in shown.items():
-            first, rest = f"  {key}".ljust(width), " " * width
-            print(textwrap.fill(about, 80, initial_indent=first, subsequent_indent=rest))
+            print(
+                textwrap.fill(
+                    about, 80, initial_indent=f"  {key}".ljust(width), subsequent_indent=" " * width
+                )
+            )
     return 0

@@ -59,8 +59,12 @@ def access_control(table: Iterable[Rights]) -> Mapping[str, Any]:
     for role in EVERYBODY:
         sees_all = role in OF_ALL_VEHICLES
         roster = ["**/health/*"] * sees_all  # shows which vehicles there are
-        own = [(key, service) for key, writers, _ in rights if role in writers for service in SERVICES[role]]
-        written = dict.fromkeys(key.replace("<service>", service) for key, service in own)
+        written = dict.fromkeys(
+            key.replace("<service>", service)
+            for key, writers, _ in rights
+            if role in writers
+            for service in SERVICES[role]
+        )
         read = [key.replace("<service>", "*") for key, _, readers in rights if sees_all or role in readers]
         for space in ("uav/*",) if sees_all else NAMESPACES:
             name = common_name(role, space)

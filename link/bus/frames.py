@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.px4 import ADDED
+from link.bus.px4 import ADDED, CODES
 
 MAVLINK_1, MAVLINK_2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
 # Behind magic, length, flags and sequence number: system, component, and message id (MAVLink 2: low, high).
@@ -135,18 +135,6 @@ def frames_in(payload: bytes) -> Iterator[Frame]:
 
 # ---- the fields of a frame ----
 
-# Bytes of each type of field.
-SIZES = {
-    "char": 1,
-    "int8_t": 1,
-    "uint8_t": 1,
-    "int16_t": 2,
-    "uint16_t": 2,
-    "int32_t": 4,
-    "uint32_t": 4,
-    "float": 4,
-} | dict.fromkeys(("int64_t", "uint64_t", "double"), 8)
-
 
 class Layout(NamedTuple):
     """How a message type is laid out in its payload."""
@@ -164,7 +152,7 @@ def _layout(message: Any) -> Layout:
     types = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
     lengths = dict(zip(message.ordered_fieldnames, message.array_lengths, strict=True))  # 0: no array
     counts = {name: 1 if types[name] == "char" else max(length, 1) for name, length in lengths.items()}
-    sizes = [SIZES[types[name]] * max(length, 1) for name, length in lengths.items()]
+    sizes = [struct.calcsize(f"={CODES[types[name]]}") * max(length, 1) for name, length in lengths.items()]
     offsets = dict(zip(lengths, itertools.accumulate([0, *sizes]), strict=False))
     return Layout(
         message.msgname,

@@ -47,14 +47,13 @@ class Drops:
 
     def tell(self, dropped: int, log: Log) -> None:
         """Take the total dropped so far; count and log those since the last call."""
-        if (count := dropped - self._reported) == 0:
-            return
-        self._reported = dropped
-        log.tally.refuse(self._kind, count)
-        now_s = log.tally.now_s()
-        if now_s - self._reported_at >= BURST_S:
-            log.warning(self._line)
-        self._reported_at = now_s
+        if count := dropped - self._reported:
+            self._reported = dropped
+            log.tally.refuse(self._kind, count)
+            now_s = log.tally.now_s()
+            if now_s - self._reported_at >= BURST_S:
+                log.warning(self._line)
+            self._reported_at = now_s
 
 
 class ServiceNames:

@@ -222,8 +222,7 @@ def low_pass_filter() -> list[dict[str, Any]]:
 
     A small key stays small.
     """
-    stored = ["put", "delete", "reply"]
-    sizes = [(key.name, stored, f"**/{key.named()}", key.most_mib * MIB) for key in KEYS]
+    sizes = [(key.name, ["put", "delete", "reply"], f"**/{key.named()}", key.most_mib * MIB) for key in KEYS]
     return [
         {
             "id": name,

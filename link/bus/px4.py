@@ -6,8 +6,20 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-# C type of a field: its code in `struct`.
-CODES = {"uint8_t": "B", "uint16_t": "H", "uint32_t": "I", "float": "f", "char": "s"}
+# C types of fields, and their codes in `struct`.
+CODES = {
+    "char": "s",
+    "int8_t": "b",
+    "uint8_t": "B",
+    "int16_t": "h",
+    "uint16_t": "H",
+    "int32_t": "i",
+    "uint32_t": "I",
+    "int64_t": "q",
+    "uint64_t": "Q",
+    "float": "f",
+    "double": "d",
+}
 
 
 class Field(NamedTuple):

@@ -137,9 +137,8 @@ class Bus:
         self._inbox = Inbox() if inbox is None else inbox
         self._declaring = threading.Lock()
         self._publishers: dict[str, Any] = {}
-        # What makes each of what we hold on the session: once more, if another takes its place.
-        self._declarations: dict[str, Callable[[zenoh.Session], Any]] = {}
-        self._held: dict[str, Any] = {}
+        # What we hold on the session, behind what makes it: once more, if another session takes its place.
+        self._held: dict[str, tuple[Callable[[zenoh.Session], Any], Any]] = {}
         self._sequences: dict[str, Sequence[Arrival]] = {}
         self._drops: dict[str, Drops] = {}
         self._names = ServiceNames()
@@ -163,9 +162,8 @@ class Bus:
         It replaces what had this name.
         """
         if before := self._held.get(name):
-            before.undeclare()
-        self._declarations[name] = declare
-        self._held[name] = declare(self._session)
+            before[1].undeclare()
+        self._held[name] = declare, declare(self._session)
 
     def _superfluous(self) -> BusError:
         return BusError(f"another {self.service} is already on {self._namespace or 'the bus'}")
@@ -278,8 +276,7 @@ class Bus:
         What is called with a message (`on`) runs in another thread, and may be called a little later.
         """
         # A query that nobody answers: the router's reply comes after everything exchanged before it.
-        for _ in self._session.get("nobody", timeout=timeout_s):
-            pass
+        list(self._session.get("nobody", timeout=timeout_s))
 
     def watch_services(self) -> None:
         """Put a LivelinessChange into the inbox whenever a service joins or leaves.
@@ -439,8 +436,8 @@ class Bus:
         ]
         with self._declaring:
             self._session, self._publishers = session, {}
-        for name, declare in self._declarations.items():
-            self._held[name] = declare(session)
+        for name, (declare, _) in self._held.items():
+            self._held[name] = declare, declare(session)
         for message in kept:
             self.publish(*message)
         before.close()  # type: ignore[no-untyped-call]
@@ -462,7 +459,7 @@ class Bus:
     def close(self) -> None:
         """Leave the bus. An open session would hang the exit of the process."""
         self._standby.close()
-        for held in self._held.values():
+        for _, held in self._held.values():
             held.undeclare()
         self._session.close()  # type: ignore[no-untyped-call]
 

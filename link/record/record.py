@@ -192,16 +192,13 @@ def began_s(times_s: Iterable[float]) -> float:
 
 def text_of(value: object) -> str:
     """Return a metadata value as text: JSON, except that a string which is not valid JSON stays as it is."""
-    if isinstance(value, str):
-        try:
-            json.loads(value)
-        except ValueError:
-            return value
+    if isinstance(value, str) and value_of(value) is value:
+        return value
     return json.dumps(value, ensure_ascii=False)
 
 
 def value_of(text: str) -> Any:
-    """Undo `text_of`."""
+    """Undo `text_of`: what is not valid JSON is returned as it is."""
     try:
         return json.loads(text)
     except ValueError:

@@ -18,8 +18,6 @@ from link.bus.session import Arrival, Bus, most_waiting
 # How often Zenoh's rings are emptied: they are bounded by messages alone, of any size, and drop without a
 # word.
 DRAIN_EVERY_S = 0.05
-# A key whose messages come into a ring of Zenoh's, and what puts them into the inbox.
-Ring = tuple[Key, Callable[[Any, int], None]]
 
 
 class Tap(Bus):
@@ -40,7 +38,8 @@ class Tap(Bus):
         **settings: Any,
     ) -> None:
         self._taken_ns = 0
-        self._rings: dict[str, Ring] = {}
+        # The keys whose messages come into rings, and what puts them into the inbox.
+        self._rings: dict[str, tuple[Key, Callable[[Any, int], None]]] = {}
         self._draining = threading.Lock()
         self._full = 0
         self._fullness = Drops("messages")
@@ -102,7 +101,7 @@ class Tap(Bus):
 
         Returns whether it was full, and so may have dropped messages: nobody knows how many.
         """
-        handler = self._held[key.name].handler
+        handler = self._held[key.name][1].handler
         for _ in range(most_waiting(key)):
             try:
                 sample = handler.try_recv()
