@@ -73,7 +73,7 @@ def run(
     waypoint = (0.0, 0.0)
     while True:
         arrival: Arrival = bus.receive()
-        if arrival.key is HEALTH and arrival.service == "uav":
+        if arrival.name == HEALTH.named("uav"):
             health = bus.decode(arrival, Health)
             if health and health.system not in (0, system):
                 system, codec = health.system, Codec(health.system, ONBOARD_COMPUTER)

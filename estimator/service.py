@@ -6,7 +6,7 @@ from estimator.admission import refusal
 from estimator.belief import belief, stop, warning
 from estimator.filter import Config, assimilate, prior
 from link.bus.keys import BELIEF, READING, STOP
-from link.bus.mavlink import BadFrame, sender, unpack_reading
+from link.bus.mavlink import BadFrame, split, unpack_reading
 from link.bus.messages import Belief, pack_particles
 from link.bus.session import Arrival, Bus
 from link.bus.tally import REPEATED
@@ -44,7 +44,7 @@ def run(bus: Bus, config: Config, system: int | None) -> None:
             particles = pack_particles(array)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(summary.step)
-            latest, system = reading, system or sender(arrival.payload)
+            latest, system = reading, system or split(arrival.payload)[0].system
             _judge(bus, summary, config)
             if summary.ceased and not stopped:
                 bus.publish(STOP, stop(summary, config))

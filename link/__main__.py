@@ -5,19 +5,17 @@ if __name__ == "__main__":  # here, because the modules below take long to load
 
     end_at_once()
 
-import sys
-
 from link import certs, cli
 
 
-def main(prog: str = "python -m link", arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and make certificates."""
-    parser = cli.Parser(prog=prog)
+    parser = cli.Parser(prog="python -m link")
     commands = parser.add_subparsers(
         dest="command", required=True, parser_class=cli.Parser, metavar="COMMAND"
     )
     certs.add_arguments(commands.add_parser("certs", help="make certificates for --secure"))
-    return certs.run(parser.parse_args(sys.argv[1:] if arguments is None else arguments))
+    return certs.run(parser.parse_args(arguments))
 
 
 if __name__ == "__main__":

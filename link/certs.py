@@ -7,7 +7,8 @@ from itertools import groupby
 from pathlib import Path
 
 from link import cli
-from link.access.authority import CA, CA_DAYS, ROUTER_NAMES, CertificateError, Made, host, make, risks
+from link.access.authority import CA, CA_DAYS, ROUTER_NAMES, Made, host, make, risks
+from link.access.identity import AccessError
 from link.access.roles import MOST_VEHICLES
 
 
@@ -47,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     """Make what is missing and list what there is."""
     try:
         made = make(args.folder, args.vehicles, args.router, args.days, force=args.force)
-    except (CertificateError, OSError) as error:
+    except (AccessError, OSError) as error:
         told = (
             f"cannot write {error.filename or args.folder}: {error.strerror}"
             if isinstance(error, OSError)

@@ -1,10 +1,10 @@
 """Command lines: bad input gets one clear line and exit status 2; statuses say how a command has ended."""
 
 import argparse
+import contextlib
 import errno
 import gc
 import io
-import math
 import os
 import resource
 import select
@@ -12,10 +12,10 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 from link.early import INTERRUPTED, end_at_once
-from link.interrupts import STREAMS, discard, interrupt, leave, lost_thread, polled, unanswered
+from link.interrupts import STREAMS, discard, interrupt, is_ending, leave, polled
 
 # Exit status if the reader of stdout has gone, as in `plumeward evaluate | head -1`: that of a program
 # killed by SIGPIPE.
@@ -24,6 +24,7 @@ BAD_INPUT = 2
 FAILED = 1
 # Names of what an estimator may take to be known; `estimator.assumptions` has what they mean.
 ASSUMPTIONS = ("field", "paper")
+T = TypeVar("T")
 COMPLETING = "_ARGCOMPLETE"  # the environment variable by which a shell asks for completions
 
 
@@ -39,9 +40,7 @@ class Command(NamedTuple):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argparse parser that answers bad input with one line, which suggests the nearest name where there
-    is one.
-    """
+    """An argparse parser that answers bad input with one line, with the nearest name if one is near."""
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong in one line and exit with status 2."""
@@ -84,8 +83,10 @@ class Parser(argparse.ArgumentParser):
         Words behind a command are the command's.
         """
         flags = self._option_string_actions
+        subparsers = (each for each in self._actions if isinstance(each, argparse._SubParsersAction))
+        commands = next((each.choices for each in subparsers), ())
         for word in words:
-            if word == "--" or word in self._commands():
+            if word == "--" or word in commands:
                 return
             flag = word.partition("=")[0]
             if flag.startswith("--") and not any(known.startswith(flag) for known in flags):
@@ -93,13 +94,7 @@ class Parser(argparse.ArgumentParser):
                     f"no flag {flag!r}{did_you_mean(flag, flags) or f'; {self.prog} --help lists them'}"
                 )
 
-    def _commands(self) -> Collection[str]:
-        return next(
-            (action.choices for action in self._actions if isinstance(action, argparse._SubParsersAction)), ()
-        )
-
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse a value that is not among an argument's choices."""
         if action.choices is None or value in action.choices:
             return
         names = [str(choice) for choice in action.choices]
@@ -145,16 +140,13 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 def not_allowed(value: object, known: Iterable[str], wanted: str) -> str:
     """Say that a value is not allowed, which name is nearest to it, and what is wanted."""
     near = did_you_mean(str(value), known)
-    return (
-        f"{value!r} is not allowed{near} Wanted {wanted}"
-        if near
-        else f"{value!r} is not allowed; wanted {wanted}"
-    )
+    return f"{value!r} is not allowed{f'{near} Wanted' if near else '; wanted'} {wanted}"
 
 
 def completed(action: argparse.Action, names: Callable[[], Iterable[str]], *endings: str) -> argparse.Action:
-    """Let a shell complete an argument by names and by files with these endings; in a list with commas,
-    the last item.
+    """Let a shell complete an argument by names and by files with these endings.
+
+    In a list with commas it completes the last item.
     """
 
     def complete(prefix: str, **_: Any) -> list[str]:
@@ -170,35 +162,24 @@ def completed(action: argparse.Action, names: Callable[[], Iterable[str]], *endi
 
 def whole(low: int, high: int) -> Callable[[str], int]:
     """Argument type: a whole number from low to high."""
-
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = low - 1
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(
-                f"{text!r} is not allowed; wanted a whole number from {low} to {high}"
-            )
-        return value
-
-    return parse
+    return _accepted(int, lambda value: low <= value <= high, f"a whole number from {low} to {high}")
 
 
 def number(low: float, high: float, *, above: bool = False) -> Callable[[str], float]:
     """Argument type: a number from low (or above low) to high."""
+    return _accepted(
+        float,
+        lambda value: low <= value <= high and not (above and value == low),
+        f"a number {'above' if above else 'from'} {low:g} up to {high:g}",
+    )
 
-    def parse(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high or (above and value == low):
-            raise argparse.ArgumentTypeError(
-                f"{text!r} is not allowed; wanted a number {'above' if above else 'from'} {low:g} up to "
-                f"{high:g}"
-            )
-        return value
+
+def _accepted(kind: Callable[[str], T], accepts: Callable[[T], bool], wanted: str) -> Callable[[str], T]:
+    def parse(text: str) -> T:
+        with contextlib.suppress(ValueError):
+            if accepts(value := kind(text)):
+                return value
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted {wanted}")
 
     return parse
 
@@ -341,8 +322,8 @@ def add_reach_arguments(parser: argparse.ArgumentParser, budget: int) -> None:
 
 def reach_given(args: argparse.Namespace) -> dict[str, float]:
     """Return the flags of `add_reach_arguments` that were given, by their names."""
-    given = {"headings": args.headings, "step": args.step, "measurements": args.measurements}
-    return {name: value for name, value in given.items() if value is not None}
+    names = ("headings", "step", "measurements")
+    return {name: value for name in names if (value := getattr(args, name)) is not None}
 
 
 def checked(parse: Callable[[str], object], known: Collection[str] = ()) -> Callable[[str], str]:
@@ -381,18 +362,18 @@ def add_output_guard(parser: argparse.ArgumentParser) -> None:
 
 
 def existing(flag: str, paths: Iterable[Path], force: bool) -> str | None:
-    """Return one line that refuses to overwrite the first of these files that exists; None if none exists,
-    or with `force`.
+    """Return one line that refuses to overwrite the first of these files that exists.
+
+    None if none exists, or with `force`.
     """
     there = next((path for path in paths if not force and os.path.lexists(path)), None)
     return None if there is None else f"{flag}: {str(there)!r} exists; wanted another name, or --force"
 
 
 def unwritable(flag: str, paths: Iterable[Path], force: bool) -> str | None:
-    """Return one line that refuses to write the first of these files that exists or cannot be written;
-    None if all can be.
+    """Return one line that refuses to write the first of these files that exists or cannot be written.
 
-    A pipe or a device has no content to protect.
+    None if all can be. A pipe or a device has no content to protect.
     """
     from link.files import obstacle
 
@@ -405,19 +386,19 @@ def unwritable(flag: str, paths: Iterable[Path], force: bool) -> str | None:
 
 
 def run(command: Callable[[], int | None]) -> NoReturn:
-    """Run a command and exit with its status: 0 done, 1 failed, 2 bad input, 130 interrupted, 141 if the
-    reader of its output has gone.
+    """Run a command and exit with its status.
+
+    0 done, 1 failed, 2 bad input, 130 interrupted, 141 if the reader of its output has gone.
     """
     gc.set_threshold(100_000)  # Python's own 700 costs a tenth of the start-up time
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # None where the caller closed it
-            stream.reconfigure(
-                errors="backslashreplace"
-            )  # where ASCII alone is printed, and for names of files that are not text
+            # Where ASCII alone is printed, and for names of files that are not text.
+            stream.reconfigure(errors="backslashreplace")
     try:
         interrupt()
         status = _status(command)
-        if status == INTERRUPTED or unanswered() or lost_thread():
+        if status == INTERRUPTED or is_ending():
             leave()
         end_at_once()
     except KeyboardInterrupt:  # a second signal: `timeout` sends two
@@ -427,13 +408,10 @@ def run(command: Callable[[], int | None]) -> NoReturn:
 
 
 def _status(command: Callable[[], int | None]) -> int:
-    """Run a command; returns its status."""
     try:
         try:
             status = command() or 0
-        except (
-            SystemExit
-        ) as end:  # of --help, whose output has to be flushed too; of bad input; of rich on a closed pipe
+        except SystemExit as end:  # of --help, whose output must be flushed; bad input; rich on a closed pipe
             status = end.code if isinstance(end.code, int) else FAILED if end.code else 0
             if status == FAILED and any(map(_unread, STREAMS)):
                 raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from None
@@ -458,7 +436,7 @@ def _status(command: Callable[[], int | None]) -> int:
 
 
 def _refusals() -> tuple[type[Exception], ...]:
-    """Return the errors of one line.
+    """Return the errors that are told in one line.
 
     Their modules take long to load: one that has not been loaded has raised none.
     """

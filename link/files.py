@@ -1,15 +1,15 @@
 """Files that are written completely or not at all, and by one process at a time."""
 
+import contextlib
 import errno
 import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
 
-@contextmanager
+@contextlib.contextmanager
 def whole(path: Path) -> Iterator[Path]:
     """Yield a file beside `path` to write to.
 
@@ -67,3 +67,48 @@ def is_claimed(path: Path) -> bool:
     except OSError as error:
         return error.errno == errno.EBUSY
     return False
+
+
+class Appender:
+    """A file to which pieces are appended: what is flushed is in it whole or not at all."""
+
+    def __init__(self, path: Path) -> None:
+        """Create an empty file; raises OSError if that fails, or if another process is writing it."""
+        # Opened as it is, not emptied: it may be another process's.
+        self._file = open(os.open(str(path), os.O_WRONLY | os.O_CREAT, 0o666), "wb", buffering=0)  # noqa: SIM115
+        self._size = 0
+        self._piece = bytearray()  # waits for the next flush
+        try:
+            claim(self._file)
+            if path.is_file():
+                self._file.truncate()
+        except OSError:
+            self._file.close()
+            raise
+
+    def write(self, data: bytes) -> int:
+        """Add to the piece that waits."""
+        self._piece += data
+        return len(data)
+
+    def tell(self) -> int:
+        """Return where the next byte will be in the file."""
+        return self._size + len(self._piece)
+
+    def flush(self) -> None:
+        """Append the piece. Raises OSError if it does not fit; then none of it stays in the file."""
+        piece, self._piece = self._piece, bytearray()
+        left = memoryview(piece)
+        try:
+            while left:
+                left = left[self._file.write(left) :]
+        except OSError:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._size)
+                self._file.seek(self._size)
+            raise
+        self._size += len(piece)
+
+    def close(self) -> None:
+        """Close the file, without what waits."""
+        self._file.close()

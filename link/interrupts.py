@@ -40,8 +40,7 @@ def on_end(handler: Callable[[int], object]) -> dict[int, Any]:
 
 def let_go_of_the_terminal() -> None:
     """Point stdout and stderr at nothing if their terminal has been closed: a last line there would fail."""
-    closed = [stream for stream in STREAMS if polled(stream) & select.POLLHUP]
-    if closed:
+    if closed := [stream for stream in STREAMS if polled(stream) & select.POLLHUP]:
         discard(closed)
 
 
@@ -116,14 +115,9 @@ def leave() -> NoReturn:
     os._exit(1 if _lost_thread else INTERRUPTED)
 
 
-def unanswered() -> bool:
-    """Whether a signal has come that could not be answered yet."""
-    return _unanswered_since is not None
-
-
-def lost_thread() -> bool:
-    """Whether a thread has died. The command then fails."""
-    return _lost_thread
+def is_ending() -> bool:
+    """Whether a signal has come that could not be answered yet, or a thread has died."""
+    return _unanswered_since is not None or _lost_thread
 
 
 def _interrupt(number: int) -> None:
@@ -132,8 +126,7 @@ def _interrupt(number: int) -> None:
     if not _would_be_lost():
         _unanswered_since = None
         raise KeyboardInterrupt
-    if _unanswered_since is None:
-        _unanswered_since = now_s
+    _unanswered_since = _unanswered_since or now_s
     if now_s - _unanswered_since >= LOADING_S:
         leave()  # only a command that has not begun loads for this long: it has nothing to lose
     _lost.put(number)

@@ -56,13 +56,8 @@ MEANINGS = {
 
 def mode_name(autopilot: int, custom_mode: int) -> str:
     """Return a mode's name for people; the number of an unknown one."""
-    if name := NAMES.get(autopilot, {}).get(custom_mode):
-        return name
-    return (
-        f"mode {custom_mode >> 16 & 0xFF}.{custom_mode >> 24 & 0xFF}"
-        if autopilot == PX4
-        else f"mode {custom_mode}"
-    )
+    number = f"{custom_mode >> 16 & 0xFF}.{custom_mode >> 24 & 0xFF}" if autopilot == PX4 else custom_mode
+    return NAMES.get(autopilot, {}).get(custom_mode, f"mode {number}")
 
 
 def meaning(autopilot: int, custom_mode: int) -> str:

@@ -26,8 +26,7 @@ class Column:
     rank: int = 0  # columns of the highest rank are left out first; those of rank 0 never
     name: str = ""  # its name in the note about left-out columns; empty: its heading
     left: bool = False  # aligned to the left; numbers are aligned to the right
-    stacks: bool = False
-    """True: on a narrow terminal the heading is broken at its comma, and each cell at its first space."""
+    stacks: bool = False  # on a narrow terminal its heading breaks at its comma, its cells at the first space
     least: int | None = None  # a longer cell may be cut to this many characters; None: never cut
     keeps_end: bool = False  # true: a cut cell keeps its end, as a path should; False: its beginning
     styles: Sequence[str] = ()  # a style of rich for each cell
@@ -68,8 +67,11 @@ def _total(columns: Sequence[Column]) -> int:
 
 def _stacked(column: Column) -> Column:
     if column.stacks:
-        cells = [cell.replace(" ", "\n", 1) for cell in column.cells]
-        return replace(column, heading=column.heading.replace(", ", "\n"), cells=cells)
+        return replace(
+            column,
+            heading=column.heading.replace(", ", "\n"),
+            cells=[cell.replace(" ", "\n", 1) for cell in column.cells],
+        )
     room = max(replace(column, heading="").width, LONGEST_WORD)
     return replace(column, heading="\n".join(textwrap.wrap(column.heading, room, break_long_words=False)))
 
@@ -132,11 +134,7 @@ def table(
 
 def printable(text: str) -> str:
     """Return a stranger's text as one line: unprintable characters are escaped as in Python."""
-    return (
-        text
-        if text.isprintable()
-        else "".join(it if it.isprintable() else it.encode("unicode_escape").decode() for it in text)
-    )
+    return "".join(it if it.isprintable() else it.encode("unicode_escape").decode() for it in text)
 
 
 def broken(text: str, width: int | None) -> str:

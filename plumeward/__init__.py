@@ -1,5 +1,4 @@
-"""Plumeward: simulate a gas leak, search for it with a drone, and measure how far the search can be
-trusted.
+"""Plumeward: simulate a gas leak, search for it with a drone, and measure how far to trust the search.
 
 Imports: plume, link, link.bus, link.record, estimator, sitl, sitl.script, sitl.launch, agent, agent.trials,
 agent.learn.
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from plume.world import World
     from plumeward.evaluation import evaluate
 
+# The module of each name of the API, and its name there if it differs.
 WHERE = {
     "rollout": "agent.trials.rollout",
     "evaluate": "plumeward.evaluation",
@@ -57,7 +57,6 @@ WHERE = {
     "Belief": "link.bus.messages",
     "Recording": "link.record.reader",
 }
-"""The module of each name of the API, and its name there if it differs."""
 
 __all__ = [
     "Belief",
@@ -88,9 +87,7 @@ def __getattr__(name: str) -> object:
     if name not in WHERE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, _, there = WHERE[name].partition(":")
-    found = getattr(import_module(module), there or name)
-    globals()[name] = found
-    return found
+    return globals().setdefault(name, getattr(import_module(module), there or name))
 
 
 def __dir__() -> list[str]:

@@ -62,8 +62,6 @@ def help_text() -> str:
 
 
 class _Front(cli.Parser):
-    """The parser of `plumeward` itself."""
-
     def format_help(self) -> str:
         return help_text()
 
@@ -89,11 +87,8 @@ def main() -> int | None:
     if name not in PACKAGES:
         return cli.start(f"plumeward {name}", command, words[1:])
     package = import_module(f"{command.module}.__main__")
-    status: int | None
-    if name in SERVICES:
-        status = package.main(f"plumeward {name}", words[1:])
-    else:
-        status = package.main("plumeward", words)
+    prog, rest = (f"plumeward {name}", words[1:]) if name in SERVICES else ("plumeward", words)
+    status: int | None = package.main(prog, rest)
     return status
 
 

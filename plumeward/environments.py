@@ -34,15 +34,17 @@ def _register() -> None:
 
 
 class _WhenImported:
-    """Finds gymnasium where Python would, and registers the environments once it is loaded; then it goes
-    out of the way.
+    """Finds gymnasium where Python would, and registers the environments once it is loaded.
+
+    Then it goes out of the way.
     """
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return how gymnasium is loaded, for whoever imports it or only looks for it; None for any other
-        module.
+        """Return how gymnasium is loaded, for all who import it or only look for it.
+
+        None for any other module.
         """
         if name != "gymnasium":
             return None

@@ -70,10 +70,14 @@ def evaluate(
     if not names or not worlds or scenarios < 1 or workers < 1:
         raise ValueError("wanted one policy, one world, one scenario and one worker at least")
     check_knowledge(assume, knowledge)
-    knowledge["assume"] = assume
-    seeds = range(first_seed, first_seed + scenarios)
     sweep = Sweep(
-        names, seeds, (particles,), (chosen(threshold_m, stop),), budget, knowledge=knowledge, worlds=worlds
+        names,
+        range(first_seed, first_seed + scenarios),
+        (particles,),
+        (chosen(threshold_m, stop),),
+        budget,
+        knowledge={**knowledge, "assume": assume},
+        worlds=worlds,
     )
     by_seed = (list(flights) for _, flights in groupby(sweep.flights, key=lambda flight: flight[2]))
     flown = (

@@ -10,8 +10,9 @@ ROOT = path.dirname(path.dirname(path.realpath(__file__)))
 
 
 def leave_out_the_current_folder() -> None:
-    """Under `python -m plumeward`, remove the current folder from the module search path, unless it holds
-    our packages.
+    """Under `python -m plumeward`, remove the current folder from the module search path.
+
+    It stays if it holds our packages.
     """
     if sys.flags.safe_path or sys.argv[:1] != ["-m"]:  # "-m" stands there until Python has found the module
         return

@@ -32,10 +32,7 @@ class Deaf(Bus):
         taken.
         """
         self._unread = [
-            self._session.declare_subscriber(
-                key.name.replace("<service>", "*"), zenoh.handlers.FifoChannel(1)
-            )
-            for key in KEYS
+            self._session.declare_subscriber(key.named(), zenoh.handlers.FifoChannel(1)) for key in KEYS
         ]
 
 

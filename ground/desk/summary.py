@@ -203,8 +203,8 @@ def _decoded(entry: Entry) -> Iterator[tuple[str, dict[str, Any]]]:
         if entry.key == "reading":
             yield "reading", msgspec.structs.asdict(decode_reading(entry.payload))
         elif entry.key in FRAME_KEYS:
-            for message in decode(entry.payload):
-                yield f"{entry.key}/{message.kind}", json.loads(message.fields)
+            for kind, fields in decode(entry.payload):
+                yield f"{entry.key}/{kind}", json.loads(fields)
         else:
             yield entry.key, msgspec.json.decode(entry.payload, type=dict[str, Any])
 

@@ -25,7 +25,7 @@ from sitl.script import script
 VEHICLE_KEYS = {
     READING.name: READING,
     MAVLINK_OUT.name: MAVLINK_OUT,
-    HEALTH.name.replace("<service>", "uav"): HEALTH,
+    HEALTH.named("uav"): HEALTH,
 }
 # The service that sends each kind of answer.
 SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}

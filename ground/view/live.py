@@ -70,7 +70,7 @@ class Roster(Bus):
             connect__timeout_ms=CONNECT_TIMEOUT_MS,
         )
         self._changes: deque[Presence] = deque(maxlen=MOST_CHANGES)
-        tokens = f"**/{HEALTH.name.replace('<service>', '*')}"
+        tokens = f"**/{HEALTH.named()}"
         self._hold(
             "liveliness",
             lambda session: session.liveliness().declare_subscriber(tokens, self._changed, history=True),

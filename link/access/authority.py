@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from link.access.identity import issued
+from link.access.identity import AccessError, issued
 from link.access.roles import OF_A_VEHICLE, OF_ALL_VEHICLES, ROUTER, common_name
 
 CA = "ca"
@@ -32,10 +32,6 @@ class Made(NamedTuple):
     name: str
     until: datetime.datetime
     new: bool
-
-
-class CertificateError(Exception):
-    """Certificates cannot be made; the text is one line."""
 
 
 class _Issuer(NamedTuple):
@@ -67,15 +63,14 @@ def make(
     Returns all of them.
 
     hosts: names and addresses at which clients reach the router.  days: how long the certificates hold.
-    Raises CertificateError if files are damaged or half there, OSError if they cannot be read or written.
+    Raises AccessError if files are damaged or half there, OSError if they cannot be read or written.
     """
     begins = (now or datetime.datetime.now(datetime.UTC)) - EARLIER
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    made = []
     if new := not _there(folder / CA, force=False):
         _make_ca(folder, begins)
     ca = _read_ca(folder)
-    made.append(Made(CA, ca.certificate.not_valid_after_utc, new))
+    made = [Made(CA, ca.certificate.not_valid_after_utc, new)]
     names = [
         ROUTER,
         *OF_ALL_VEHICLES,
@@ -83,20 +78,16 @@ def make(
     ]
     until = min(begins + datetime.timedelta(days=days) + EARLIER, ca.certificate.not_valid_after_utc)
     if until <= begins:
-        raise CertificateError(f"{folder / 'ca.pem'} has expired: make a new CA, in another folder")
+        raise AccessError(f"{folder / 'ca.pem'} has expired: make a new CA, in another folder")
     for name in names:
         path = folder / name
-        if not _there(path, force=force):
+        if new := not _there(path, force=force):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             _issue(path, name, hosts, ca, begins, until)
-            made.append(Made(name, until, True))
-        else:
-            kept = _read(path)
-            if not issued(kept, ca.certificate):
-                raise CertificateError(
-                    f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {REPLACE}"
-                )
-            made.append(Made(name, kept.not_valid_after_utc, False))
+        certificate = _read(path)
+        if not issued(certificate, ca.certificate):
+            raise AccessError(f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {REPLACE}")
+        made.append(Made(name, certificate.not_valid_after_utc, new))
     return made
 
 
@@ -110,9 +101,8 @@ def risks(folder: Path) -> list[str]:
         )
     for place in (there, *there.parents):
         mode = place.stat().st_mode
-        if mode & stat.S_IWOTH and (
-            place == there or not mode & stat.S_ISVTX
-        ):  # in a sticky folder others cannot rename ours
+        # In a sticky folder others cannot rename ours.
+        if mode & stat.S_IWOTH and (place == there or not mode & stat.S_ISVTX):
             said.append(
                 f"{place} may be written by everybody: others can replace certificates and keys (forbid it "
                 f"with: chmod o-w {place})"
@@ -131,7 +121,7 @@ def _there(path: Path, *, force: bool) -> bool:
     if len(there) == 1 and not force:
         missing = next(file for file in files(path) if file != there[0])
         what = "certificates are made where both are" if path.name == CA else "delete it, or give --force"
-        raise CertificateError(f"{there[0]} is there without {missing.name}: {what}")
+        raise AccessError(f"{there[0]} is there without {missing.name}: {what}")
     return bool(there) and not force
 
 
@@ -141,7 +131,7 @@ def _read(path: Path) -> x509.Certificate:
         return x509.load_pem_x509_certificate(pem.read_bytes())
     except ValueError:
         what = "make a new CA, in another folder" if path.name == CA else REPLACE
-        raise CertificateError(f"{pem} is not a certificate: {what}") from None
+        raise AccessError(f"{pem} is not a certificate: {what}") from None
 
 
 def _read_ca(folder: Path) -> _Issuer:
@@ -151,7 +141,7 @@ def _read_ca(folder: Path) -> _Issuer:
     except (ValueError, TypeError):
         key = None
     if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
-        raise CertificateError(f"{file} is not the key of ca.pem")
+        raise AccessError(f"{file} is not the key of ca.pem")
     return _Issuer(certificate, key)
 
 
@@ -161,9 +151,8 @@ def _name(text: str) -> x509.Name:
 
 def _make_ca(folder: Path, begins: datetime.datetime) -> None:
     key, number = ec.generate_private_key(ec.SECP256R1()), x509.random_serial_number()
-    name = _name(
-        f"Plumeward development CA {number:x}"[:40]
-    )  # its own name: it distinguishes one CA from another
+    # Its own name: it distinguishes one CA from another.
+    name = _name(f"Plumeward development CA {number:x}"[:40])
     certificate = (
         x509.CertificateBuilder()
         .subject_name(name)
@@ -239,10 +228,11 @@ def _usage(*, signs: bool) -> x509.KeyUsage:
 
 def _write(path: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
     pem, secret = files(path)
-    unlocked = serialization.NoEncryption()
     _put(
         secret,
-        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, unlocked),
+        key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        ),
         0o600,
     )
     _put(pem, certificate.public_bytes(serialization.Encoding.PEM), 0o644)

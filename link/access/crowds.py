@@ -57,6 +57,7 @@ class Crowds:
 
 def _shut(address: str) -> None:
     """End the connection of this process with an address: Zenoh has no way to close a session of another.
+
     It notices, and cleans up.
     """
     host, _, port = address.rpartition(":")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from link.access.reach import host_and_port
-from link.access.roles import MOST_VEHICLES, OF_A_VEHICLE, ROUTER, SERVICES, common_name, role_of
+from link.access.roles import NAMESPACES, OF_A_VEHICLE, ROUTER, SERVICES, common_name, role_of
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -16,7 +16,7 @@ PROBE_S = 1.0  # how long a router that does not answer is asked why
 
 
 class AccessError(Exception):
-    """A certificate is missing or cannot be used; the text is one line."""
+    """A certificate is missing, or cannot be made or used; the text is one line."""
 
 
 class Identity(NamedTuple):
@@ -33,21 +33,19 @@ class Identity(NamedTuple):
 
         Empty if it is still valid.
         """
-        if datetime.datetime.now(datetime.UTC) <= self.until:
-            return ""
-        return (
+        words = (
             f"the certificate {self.name} expired on {self.until:%Y-%m-%d}: renew it with plumeward "
             "certs, and start this part again"
         )
+        return words if datetime.datetime.now(datetime.UTC) > self.until else ""
 
     def lack(self, roles: tuple[str, ...], what: str, service: str | None = None) -> str:
         """Return which right it lacks to do `what`, if only these roles may; empty if none.
 
         With a service, it must be of its role too.
         """
-        if self.role in roles and (service is None or service in SERVICES[self.role]):
-            return ""
-        return f"the certificate {self.name} has no right to {what}: the router drops it"
+        may = self.role in roles and (service is None or service in SERVICES[self.role])
+        return "" if may else f"the certificate {self.name} has no right to {what}: the router drops it"
 
 
 def secured(
@@ -70,9 +68,10 @@ def secured(
 def identity(folder: Path, service: str, namespace: str | None) -> Identity:
     """Return the certificate of a service, or of the router; raises AccessError if it cannot be used."""
     role = ROUTER if service == ROUTER else role_of(service)
-    if role in OF_A_VEHICLE and not _is_a_vehicles(namespace):
+    if role in OF_A_VEHICLE and namespace not in NAMESPACES:
         raise AccessError(
-            f"--namespace: {namespace!r} is not allowed with --secure; wanted uav/1 to uav/{MOST_VEHICLES}"
+            f"--namespace: {namespace!r} is not allowed with --secure; wanted "
+            f"{NAMESPACES[0]} to {NAMESPACES[-1]}"
         )
     name = common_name(role, namespace)
     until = _check(folder, name, namespace if role in OF_A_VEHICLE else None)
@@ -90,10 +89,6 @@ def identity(folder: Path, service: str, namespace: str | None) -> Identity:
     return Identity(folder, role, name, tls, until)
 
 
-def _is_a_vehicles(namespace: str | None) -> bool:
-    return namespace in {f"uav/{number}" for number in range(1, MOST_VEHICLES + 1)}
-
-
 def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
     """Return until when a certificate is valid.
 
@@ -103,25 +98,22 @@ def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
     from cryptography.x509.oid import NameOID
 
-    read = {}
-    for file in ("ca.pem", f"{name}.pem", f"{name}.key"):
-        path = folder / file
-        try:
-            read[file] = path.read_bytes()
-        except OSError as error:
-            more = f" --vehicles {namespace.removeprefix('uav/')}" if namespace else ""
-            raise AccessError(
-                f"--secure: cannot read {path}: {error.strerror} (make it with: plumeward certs "
-                f"{folder}{more})"
-            ) from None
     path = folder / f"{name}.pem"
     try:
-        ca, own = (x509.load_pem_x509_certificate(read[file]) for file in ("ca.pem", f"{name}.pem"))
+        *pems, secret = (file.read_bytes() for file in (folder / "ca.pem", path, path.with_suffix(".key")))
+    except OSError as error:
+        more = f" --vehicles {namespace.removeprefix('uav/')}" if namespace else ""
+        raise AccessError(
+            f"--secure: cannot read {error.filename}: {error.strerror} (make it with: plumeward certs "
+            f"{folder}{more})"
+        ) from None
+    try:
+        ca, own = map(x509.load_pem_x509_certificate, pems)
         (named,) = own.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     except ValueError:
         raise AccessError(f"--secure: {path} or ca.pem beside it is not a certificate") from None
     try:
-        key = load_pem_private_key(read[f"{name}.key"], None)
+        key = load_pem_private_key(secret, None)
     except (ValueError, TypeError):  # none, or one with a password
         key = None
     now = datetime.datetime.now(datetime.UTC)
@@ -221,13 +213,11 @@ def _refusal(error: OSError, known: Identity) -> str:
 
 
 def _of_the_router(said: str, host: str, known: Identity) -> str:
-    if "mismatch" in said:
-        return (
-            f"its certificate is not for {host} (make one with: plumeward certs {known.folder} --router "
-            f"{host}, after deleting it)"
-        )
-    if "purpose" in said:
-        return "its certificate is not a router's"
-    if "expired" in said:
-        return "its certificate has expired"
-    return f"its certificate is not from the CA of {known.folder / 'ca.pem'}"
+    meant = {
+        "mismatch": f"is not for {host} (make one with: plumeward certs {known.folder} --router {host}, "
+        "after deleting it)",
+        "purpose": "is not a router's",
+        "expired": "has expired",
+        "": f"is not from the CA of {known.folder / 'ca.pem'}",  # whatever else is said
+    }
+    return f"its certificate {next(fault for word, fault in meant.items() if word in said)}"

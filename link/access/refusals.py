@@ -6,6 +6,7 @@ import logging
 import os
 import re
 import sys
+from collections import Counter
 
 import zenoh
 
@@ -62,7 +63,7 @@ class Refusals:
         """
         self._reader = _stdout_of_zenoh() if reader is None else reader
         self._begun = ""
-        self._counts: dict[tuple[str, str], int] = {}
+        self._counts: Counter[tuple[str, str]] = Counter()
         self._told_at: dict[tuple[str, str], float] = {}
 
     def news(self, now_s: float) -> list[tuple[int, str]]:
@@ -99,11 +100,7 @@ class Refusals:
 
     def count(self, what: str, why: str, more: int = 1) -> None:
         """Count what was refused and why: `news` tells of it."""
-        kind = what, why
-        if (
-            kind not in self._counts
-            and kind not in self._told_at
-            and len(self._told_at | self._counts) >= MOST_KINDS
-        ):
+        known = self._told_at.keys() | self._counts.keys()
+        if (what, why) not in known and len(known) >= MOST_KINDS:
             why = "for other reasons"
-        self._counts[what, why] = self._counts.get((what, why), 0) + more
+        self._counts[what, why] += more

@@ -1,7 +1,7 @@
 """The roles: whom a certificate names, and which rules of the router follow from the table of keys."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 ROUTER = "router"
 VEHICLE, ESTIMATOR, AGENT, PAYLOAD, BRIDGE = "vehicle", "estimator", "agent", "payload", "bridge"
@@ -25,18 +25,14 @@ SERVICES = {
 # The rules admit uav/1 to uav/64; the CA decides which of them there are. Each takes a router about 1 ms to
 # start, and 0.2 MB.
 MOST_VEHICLES = 64
-HEALTH = "health/"  # the keys of health: one for each service
-WRITING = ("put", "declare_queryable", "liveliness_token", "reply")
+NAMESPACES = tuple(f"uav/{number}" for number in range(1, MOST_VEHICLES + 1))
 # Kinds of Zenoh messages that publishers and subscribers send, advanced ones and liveliness included.
-READING = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
+PUBLISHING = ("put", "declare_queryable", "liveliness_token", "reply")
+SUBSCRIBING = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
 
 
-class Rights(NamedTuple):
-    """A key and the roles that may publish and receive it; OF_ALL_VEHICLES may always receive it."""
-
-    key: str
-    writers: tuple[str, ...]
-    readers: tuple[str, ...]
+# A key, and the roles that may publish and receive it; OF_ALL_VEHICLES may always receive it.
+Rights = tuple[str, tuple[str, ...], tuple[str, ...]]
 
 
 def role_of(service: str) -> str:
@@ -58,29 +54,29 @@ def access_control(table: Iterable[Rights]) -> Mapping[str, Any]:
     What comes in is checked; what goes out was asked for by a subscription that has been checked.
     """
     rights = tuple(table)
-    everything = (*WRITING, *READING, "delete")
-    rules: list[Any] = [_rule("out", "egress", everything, ["**", "**/@adv/**"])]
+    rules = [_rule("out", "egress", (*PUBLISHING, *SUBSCRIBING, "delete"), ["**", "**/@adv/**"])]
     subjects, policies = [], []
     for role in EVERYBODY:
-        for space in (
-            [f"uav/{number}" for number in range(1, MOST_VEHICLES + 1)] if role in OF_A_VEHICLE else ["uav/*"]
-        ):
+        sees_all = role in OF_ALL_VEHICLES
+        roster = ["**/health/*"] * sees_all  # shows which vehicles there are
+        written = dict.fromkeys(
+            key.replace("<service>", service)
+            for key, writers, _ in rights
+            if role in writers
+            for service in SERVICES[role]
+        )
+        read = [key.replace("<service>", "*") for key, _, readers in rights if sees_all or role in readers]
+        for space in ("uav/*",) if sees_all else NAMESPACES:
             name = common_name(role, space)
-            written = [key for right in rights if role in right.writers for key in _written(right.key, role)]
-            read = [
-                right.key.replace("<service>", "*")
-                for right in rights
-                if role in (*right.readers, *OF_ALL_VEHICLES)
-            ]
-            rules.append(_rule(f"{name} writes", "ingress", WRITING, _within(space, written)))
-            rules.append(
+            rules += [
+                _rule(f"{name} writes", "ingress", PUBLISHING, _within(space, written)),
                 _rule(
                     f"{name} reads",
                     "ingress",
-                    READING,
-                    [*_within(space, read), f"{space}/nobody", *_roster(role)],
-                )
-            )
+                    SUBSCRIBING,
+                    [*_within(space, read), f"{space}/nobody", *roster],
+                ),
+            ]
             subjects.append({"id": name, "cert_common_names": [name]})
             policies.append({"subjects": [name], "rules": ["out", f"{name} writes", f"{name} reads"]})
     return {
@@ -96,18 +92,9 @@ def _rule(name: str, flow: str, messages: Iterable[str], keys: list[str]) -> dic
     return {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": keys}
 
 
-def _written(key: str, role: str) -> list[str]:
-    return [key.replace("<service>", service) for service in SERVICES[role]] if "<service>" in key else [key]
-
-
-def _within(space: str, keys: list[str]) -> list[str]:
+def _within(space: str, keys: Iterable[str]) -> list[str]:
     """Return the keys in a namespace, with those of their advanced publishers and subscribers.
 
     `**` does not match the latter.
     """
     return [f"{space}/{key}{more}" for key in keys for more in ("", "/@adv/**")]
-
-
-def _roster(role: str) -> list[str]:
-    """Return the key that shows which vehicles there are."""
-    return [f"**/{HEALTH}*"] if role in OF_ALL_VEHICLES else []

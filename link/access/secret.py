@@ -2,20 +2,12 @@
 
 import stat
 from pathlib import Path
-from typing import NamedTuple
 
 MOST_BYTES = 1024
 
 
-class Secret(NamedTuple):
-    """What such a file holds, and who may use the file."""
-
-    text: str
-    mode: int  # the permissions of the file
-
-
-def read_secret(path: str | Path, wanted: str) -> Secret:
-    """Read it; raises ValueError with what is wrong and what is `wanted`.
+def read_secret(path: str | Path, wanted: str) -> tuple[str, int]:
+    """Return its text and its permissions; raises ValueError with what is wrong and what is `wanted`.
 
     Space around the text, a line end among it, does not count.
     """
@@ -40,4 +32,4 @@ def read_secret(path: str | Path, wanted: str) -> Secret:
             else "has more than one line"
         )
         raise ValueError(f"{str(path)!r} {fault}; wanted {wanted}")
-    return Secret(text, stat.S_IMODE(mode))
+    return text, stat.S_IMODE(mode)

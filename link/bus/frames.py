@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.px4 import ADDED
+from link.bus.px4 import ADDED, CODES
 
 MAVLINK_1, MAVLINK_2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
 # Behind magic, length, flags and sequence number: system, component, and message id (MAVLink 2: low, high).
@@ -135,18 +135,6 @@ def frames_in(payload: bytes) -> Iterator[Frame]:
 
 # ---- the fields of a frame ----
 
-# Bytes of each type of field.
-SIZES = {
-    "char": 1,
-    "int8_t": 1,
-    "uint8_t": 1,
-    "int16_t": 2,
-    "uint16_t": 2,
-    "int32_t": 4,
-    "uint32_t": 4,
-    "float": 4,
-} | dict.fromkeys(("int64_t", "uint64_t", "double"), 8)
-
 
 class Layout(NamedTuple):
     """How a message type is laid out in its payload."""
@@ -157,17 +145,15 @@ class Layout(NamedTuple):
     unpack: Callable[[bytes], tuple[Any, ...]]
     counts: dict[str, int]  # array length of each field, in wire order; 1 for a single value or a text
     plain: bool  # true if no field is an array or text
-    target_at: tuple[int, int]
-    """Offsets of target_system and target_component in the payload; -1 if the type has none."""
+    target_at: tuple[int, int]  # offsets of target_system and target_component; -1 if it has none
 
 
 def _layout(message: Any) -> Layout:
     types = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
-    counts, offsets, at = {}, {}, 0
-    for name, length in zip(message.ordered_fieldnames, message.array_lengths, strict=True):
-        counts[name] = 1 if types[name] == "char" else max(length, 1)
-        offsets[name] = at
-        at += SIZES[types[name]] * max(length, 1)
+    lengths = dict(zip(message.ordered_fieldnames, message.array_lengths, strict=True))  # 0: no array
+    counts = {name: 1 if types[name] == "char" else max(length, 1) for name, length in lengths.items()}
+    sizes = [struct.calcsize(f"={CODES[types[name]]}") * max(length, 1) for name, length in lengths.items()]
+    offsets = dict(zip(lengths, itertools.accumulate([0, *sizes]), strict=False))
     return Layout(
         message.msgname,
         message.unpacker.size,
@@ -209,16 +195,14 @@ def messages_in(frames: Iterable[Frame]) -> dict[str, dict[str, Any]]:
 
 
 def _grouped(values: tuple[Any, ...], counts: dict[str, int]) -> dict[str, Any]:
-    rest = iter(values)
-    grouped = {
+    rest = iter(
+        value.partition(b"\0")[0].decode("ascii", errors="replace") if isinstance(value, bytes) else value
+        for value in values
+    )
+    return {
         name: next(rest) if count == 1 else list(itertools.islice(rest, count))
         for name, count in counts.items()
     }
-    return {name: _text(value) if isinstance(value, bytes) else value for name, value in grouped.items()}
-
-
-def _text(value: bytes) -> str:
-    return value.partition(b"\0")[0].decode("ascii", errors="replace")
 
 
 # ---- frames among other bytes ----
@@ -274,7 +258,8 @@ class FrameStream:
                 used, rest_at = used + behind - start, end
             else:
                 false_starts += 1
-                if frame is None and rest_at == end and _is_begun(data, start):
+                left = end - start  # may begin a frame whose end is still to come
+                if frame is None and rest_at == end and (left < 3 or left < frame_length(data, start)):
                     rest_at, rest_in_step = start, due
                 at, in_step = start + 1, False
         if false_starts >= MOST_FALSE_STARTS:
@@ -304,9 +289,3 @@ class FrameStream:
         excused = min(noise, self._noise_left)
         self._noise_left -= excused
         self.opening += len(data) - noise + excused
-
-
-def _is_begun(data: bytes, start: int) -> bool:
-    """Whether a frame may begin at `start` whose end is still to come."""
-    left = len(data) - start
-    return left < 3 or left < frame_length(data, start)

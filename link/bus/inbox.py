@@ -28,29 +28,32 @@ OURS = frozenset(name for names in SERVICES.values() for name in names)
 # of names.
 MOST_OTHERS = 16
 NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")  # what the name of another service may be
+# Why messages are dropped.
+TOO_FAST = "messages arrive faster than they are processed; some of the waiting ones are dropped"
+TOO_STRANGE = (
+    f"there are services of too many or of strange names; wanted ours and at most {MOST_OTHERS} others, of 1 "
+    "to 64 letters, digits and . _ -"
+)
 
 
-class Overflow:
-    """Counts messages that were dropped because too many waited, and logs each burst once."""
+class Drops:
+    """Counts the messages of a key that were dropped, and logs each burst of them once."""
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    def __init__(self, name: str, kind: str = OVERFLOW, why: str = TOO_FAST) -> None:
+        self._kind = kind
+        self._line = f"refused {name}: {why}"
         self._reported = 0
         self._reported_at = -math.inf
 
     def tell(self, dropped: int, log: Log) -> None:
         """Take the total dropped so far; count and log those since the last call."""
-        if (count := dropped - self._reported) == 0:
-            return
-        self._reported = dropped
-        log.tally.refuse(OVERFLOW, count)
-        now_s = log.tally.now_s()
-        if now_s - self._reported_at >= BURST_S:
-            log.warning(
-                f"refused {self._name}: messages arrive faster than they are processed; some of the waiting "
-                "ones are dropped"
-            )
-        self._reported_at = now_s
+        if count := dropped - self._reported:
+            self._reported = dropped
+            log.tally.refuse(self._kind, count)
+            now_s = log.tally.now_s()
+            if now_s - self._reported_at >= BURST_S:
+                log.warning(self._line)
+            self._reported_at = now_s
 
 
 class ServiceNames:
@@ -63,7 +66,7 @@ class ServiceNames:
         self._lock = threading.Lock()
         self._others: set[str] = set()
         self._refused = 0
-        self._told = False
+        self._drops = Drops("health/<service>", STRANGER, TOO_STRANGE)
 
     def admits(self, name: str) -> bool:
         """Whether a service of this name is admitted. If not, it is counted."""
@@ -77,27 +80,18 @@ class ServiceNames:
             return True
 
     def tell(self, log: Log) -> None:
-        """Count what has been refused since the last call; the first time, log it too."""
-        with self._lock:
-            refused, self._refused = self._refused, 0
-        if refused:
-            log.tally.refuse(STRANGER, refused)
-            if not self._told:
-                self._told = True
-                wanted = f"wanted ours and at most {MOST_OTHERS} others, of 1 to 64 letters, digits and . _ -"
-                log.warning(
-                    f"refused health/<service>: there are services of too many or of strange names; {wanted}"
-                )
+        """Count and log what has been refused since the last call."""
+        self._drops.tell(self._refused, log)
 
 
 class _Lane:
     """The waiting items of one kind, oldest first, each with its number and its size in bytes."""
 
-    def __init__(self, name: str, most: float, newest: bool) -> None:
+    def __init__(self, name: str, most: float, newest: bool = False, urgent: bool = False) -> None:
         self.waiting: deque[tuple[int, Any, int]] = deque()
-        self.urgent = False
+        self.urgent = urgent
         self.dropped = 0
-        self.overflow = Overflow(name)
+        self.drops = Drops(name)
         self._most = most
         self._newest = newest
         self._bytes = 0
@@ -131,13 +125,12 @@ class Inbox:
         # signal's handler runs across the deadline (CPython 3.11 and 3.12).
         self._came = threading.Lock()
         self._came.acquire()
-        self._own = _Lane("", math.inf, newest=False)
-        self._lanes = {"": self._own}
+        self._lanes = {"": _Lane("", math.inf)}
         self._count = 0
 
     def put(self, item: Any) -> None:
         """Add an item of the service's own; it is never dropped."""
-        self._add(self._own, item, 0)
+        self._add(self._lanes[""], item, 0)
 
     def lane(
         self, name: str, most: int = WAITING_MESSAGES, *, newest: bool = False, urgent: bool = False
@@ -149,8 +142,7 @@ class Inbox:
         that wait.
         """
         with self._lock:
-            lane = self._lanes.setdefault(name, _Lane(name, 1 if newest else most, newest))
-            lane.urgent = lane.urgent or urgent
+            lane = self._lanes.setdefault(name, _Lane(name, 1 if newest else most, newest, urgent))
         return partial(self._add, lane)
 
     def _add(self, lane: _Lane, item: Any, size: int) -> None:
@@ -166,7 +158,8 @@ class Inbox:
         while True:
             with self._lock:
                 if full := [lane for lane in self._lanes.values() if lane.waiting]:
-                    return min(full, key=_turn).popleft()
+                    # Urgent lanes first, then the one with the oldest item.
+                    return min(full, key=lambda lane: (not lane.urgent, lane.waiting[0][0])).popleft()
             left_s = deadline - time.monotonic()
             if left_s <= 0.0:
                 raise queue.Empty
@@ -182,9 +175,4 @@ class Inbox:
         with self._lock:
             lanes = [*self._lanes.values()]
         for lane in lanes:
-            lane.overflow.tell(lane.dropped, log)
-
-
-def _turn(lane: _Lane) -> tuple[bool, int]:
-    """Order lanes: urgent ones first, then by their oldest item."""
-    return not lane.urgent, lane.waiting[0][0]
+            lane.drops.tell(lane.dropped, log)

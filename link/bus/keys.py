@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from link.access.roles import AGENT, BRIDGE, ESTIMATOR, EVERYBODY, OPERATOR, PAYLOAD, VEHICLE, Rights
+from link.access.roles import AGENT, BRIDGE, ESTIMATOR, EVERYBODY, OPERATOR, PAYLOAD, VEHICLE
 from link.bus.messages import Belief, Health, Stop
 
 FRAMES = "MAVLink 2 frames"
@@ -18,10 +18,9 @@ class Delivery:
     realtime: bool = False  # overtakes waiting messages of lower priority
     express: bool = False  # sent at once, never batched with later messages
     kept: int = 0  # the publisher keeps this many messages for late and returning subscribers
+    # It keeps this many for subscribers that find a gap, such as those whose link was down. Late ones do not
+    # get them.
     recovered: int = 0
-    """It keeps this many for subscribers that find a gap, such as those whose link was down; late ones do
-    not get them.
-    """
 
 
 @dataclass(frozen=True)
@@ -35,15 +34,14 @@ class Key:
     delivery: Delivery
     rate: str
     meaning: str
-    writers: tuple[str, ...] = ()  # the roles that may publish it, with --secure
+    # The roles that may publish it and receive it, with --secure; operators and observers always receive it.
+    writers: tuple[str, ...] = ()
     readers: tuple[str, ...] = ()
-    """The roles that may receive it, with --secure; operators and observers always may."""
     most_mib: int = 1  # most MiB of a message and its attachment: the router drops a larger one
 
-    @property
-    def rights(self) -> Rights:
-        """Its row of the router's rules."""
-        return Rights(self.name, self.writers, self.readers)
+    def named(self, service: str = "*") -> str:
+        """Return its name with a service in it; `*`: all of them."""
+        return self.name.replace("<service>", service)
 
 
 MAVLINK_OUT = Key(

@@ -24,9 +24,7 @@ class Log(logging.LoggerAdapter[logging.Logger]):
 
     def __init__(self, service: str, mission: str, tally: Tally, least: str = "info") -> None:
         """Take service, mission, the service's tally, and the lowest of LEVELS that is written."""
-        super().__init__(LOGGER.getChild(service))
-        self._service = service
-        self._mission = mission
+        super().__init__(LOGGER.getChild(service), {"service": service, "mission": mission})
         self.tally = tally
         self.least = least
         self._least = logging.getLevelNamesMapping()[least.upper()]
@@ -46,32 +44,7 @@ class Log(logging.LoggerAdapter[logging.Logger]):
 
     def process(self, msg: Any, kwargs: MutableMapping[str, Any]) -> tuple[Any, MutableMapping[str, Any]]:
         """Add service, mission and step."""
-        kwargs["extra"] = {"service": self._service, "mission": self._mission, "step": self.tally.step}
-        return msg, kwargs
-
-
-class Logfmt(logging.Formatter):
-    """`time=… level=info service=uav mission=uav/1 step=12 event="Landed"`."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Return the line; a traceback is part of the event."""
-        text = record.getMessage()
-        if record.exc_info:
-            text += "\n" + self.formatException(record.exc_info)
-        at = (
-            datetime.fromtimestamp(record.created, UTC)
-            .isoformat(timespec="milliseconds")
-            .replace("+00:00", "Z")
-        )
-        level = LEVELS[min(max(record.levelno // 10 - 1, 0), len(LEVELS) - 1)]
-        who = {"service": record.name, "mission": "-", "step": -1} | record.__dict__
-        event = json.dumps(
-            text, ensure_ascii=not text.isprintable()
-        )  # unprintable characters could break the line or the terminal
-        return (
-            f"time={at} level={level} service={who['service']} mission={who['mission']} "
-            f"step={who['step']} event={event}"
-        )
+        return msg, {**kwargs, "extra": {**(self.extra or {}), "step": self.tally.step}}
 
 
 class _Stderr(logging.Handler):
@@ -82,21 +55,34 @@ class _Stderr(logging.Handler):
 
     _missing = 0
 
+    def format(self, record: logging.LogRecord) -> str:
+        """Return `time=… level=info service=uav mission=uav/1 step=12 event="Landed"`.
+
+        A traceback is part of the event.
+        """
+        text = record.getMessage()
+        if record.exc_info:
+            text += "\n" + logging.Formatter().formatException(record.exc_info)
+        at = (
+            datetime.fromtimestamp(record.created, UTC)
+            .isoformat(timespec="milliseconds")
+            .replace("+00:00", "Z")
+        )
+        level = LEVELS[min(max(record.levelno // 10 - 1, 0), len(LEVELS) - 1)]
+        who = {"service": record.name, "mission": "-", "step": -1} | record.__dict__
+        # Unprintable characters could break the line or the terminal.
+        event = json.dumps(text, ensure_ascii=not text.isprintable())
+        return (
+            f"time={at} level={level} service={who['service']} mission={who['mission']} "
+            f"step={who['step']} event={event}"
+        )
+
     def emit(self, record: logging.LogRecord) -> None:
         try:
             if self._missing and _takes_more(sys.stderr):
                 words, self._missing = f"{self._missing} lines are missing here: nobody has read them", 0
-                self._write(
-                    logging.makeLogRecord(
-                        {
-                            **record.__dict__,
-                            "levelno": logging.WARNING,
-                            "msg": words,
-                            "args": (),
-                            "exc_info": None,
-                        }
-                    )
-                )
+                gap = {"levelno": logging.WARNING, "msg": words, "args": (), "exc_info": None}
+                self._write(logging.makeLogRecord({**record.__dict__, **gap}))
             self._write(record)
         except Exception:
             self.handleError(record)
@@ -124,9 +110,7 @@ def _takes_more(stream: TextIO) -> bool:
 LOGGER = logging.getLogger("plumeward")  # it does not propagate to the root logger, which belongs to the user
 LOGGER.propagate = False
 LOGGER.setLevel(logging.DEBUG)
-if not LOGGER.handlers:
-    LOGGER.addHandler(_Stderr())
-    LOGGER.handlers[0].setFormatter(Logfmt())
+LOGGER.addHandler(_Stderr())
 
 
 def parse(line: str) -> tuple[str, str]:

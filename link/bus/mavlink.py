@@ -12,7 +12,7 @@ from link.bus.frames import (
     SIGNED,
     Frame,
     checksums,
-    frame_at,
+    frames_in,
     messages_in,
 )
 
@@ -43,21 +43,23 @@ POSITION_ONLY = (
 class Reading(NamedTuple):
     """One sample of gas and wind. All floats are exact float32 values, as on the wire.
 
+    Attributes:
+        time_boot_ms: Milliseconds since the start, modulo 2³²; identifies the reading.
+        position: (x, y) m, x east, y north.
+        altitude_m: Height above home, m.
+        wind: (u cos φ, u sin φ) m/s: points to where the wind comes from.
+        gas: In the sensor's unit: g/m³, or a count of hits.
+
     Example:
         `Reading(0, (2.0, 3.5), 5.0, (1.5, 0.0), 0.42)`: 0.42 g/m³ at (2, 3.5) m, 5 m up, in a wind of 1.5
         m/s from the east.
     """
 
     time_boot_ms: int
-    """Milliseconds since the start, modulo 2³²; identifies the reading."""
     position: tuple[float, float]
-    """(x, y) m, x east, y north."""
     altitude_m: float
-    """Height above home, m."""
     wind: tuple[float, float]
-    """(u cos φ, u sin φ) m/s: points to where the wind comes from."""
     gas: float
-    """In the sensor's unit: g/m³, or a count of hits."""
 
 
 def elapsed_ms(since: int, until: int) -> int:
@@ -116,32 +118,27 @@ def split(payload: bytes) -> list[Frame]:
 
     The checksum of a frame of unknown type cannot be verified: it is accepted as it is.
     """
-    frames, at = [], 0
-    while at < len(payload):
-        frame = frame_at(payload, at)
-        if frame is None:
-            raise BadFrame(f"malformed frame: {_fault(payload, at)}")
-        layout = LAYOUTS.get(frame.message_id)
-        if layout is not None:
+    frames = list(frames_in(payload))
+    at = sum(len(frame.data) for frame in frames)
+    if not frames or at < len(payload):
+        raise BadFrame(f"malformed frame: {_fault(payload[at:])}")
+    for frame in frames:
+        if layout := LAYOUTS.get(frame.message_id):
             received, right = checksums(frame, layout.seed)
             if received != right:
                 raise BadFrame(
                     f"malformed frame: invalid MAVLink CRC in msgID {frame.message_id} 0x{received:04x} "
                     f"should be 0x{right:04x}"
                 )
-        frames.append(frame)
-        at += len(frame.data)
-    if not frames:
-        raise BadFrame(f"malformed frame: {NOT_WHOLE}")
     return frames
 
 
-def _fault(payload: bytes, at: int) -> str:
-    """Return the reason why no frame begins at `at`."""
-    if payload[at] not in (MAVLINK_1, MAVLINK_2):
-        return f"invalid MAVLink prefix '{payload[at]}'"
-    if payload[at] == MAVLINK_2 and (flags := payload[at + 2 : at + 3]) and flags[0] & ~SIGNED:
-        return f"invalid incompat_flags 0x{flags[0]:x}"
+def _fault(rest: bytes) -> str:
+    """Return the reason why these bytes begin with no frame."""
+    if rest and rest[0] not in (MAVLINK_1, MAVLINK_2):
+        return f"invalid MAVLink prefix '{rest[0]}'"
+    if len(rest) > 2 and rest[0] == MAVLINK_2 and rest[2] & ~SIGNED:
+        return f"invalid incompat_flags 0x{rest[2]:x}"
     return NOT_WHOLE
 
 
@@ -190,11 +187,10 @@ def pack_reading(codec: Codec, reading: Reading) -> bytes:
     Velocities are 0: the vehicle is at rest when it samples.
     """
     x, y = reading.position
-    position = mavlink.MAVLink_local_position_ned_message(
-        reading.time_boot_ms, y, x, -reading.altitude_m, 0.0, 0.0, 0.0
-    )
     return codec.pack(
-        position,
+        mavlink.MAVLink_local_position_ned_message(
+            reading.time_boot_ms, y, x, -reading.altitude_m, 0.0, 0.0, 0.0
+        ),
         wind_message(reading.time_boot_ms, reading.wind),
         gas_message(reading.time_boot_ms, reading.gas),
     )
@@ -230,11 +226,6 @@ def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
         if not all(map(math.isfinite, field if isinstance(field, tuple) else (field,))):
             raise BadFrame(f"{name} is not finite: {field}", "not finite")
     return reading
-
-
-def sender(payload: bytes) -> int:
-    """Return the system id of a payload's first frame; raises BadFrame as `split` does."""
-    return split(payload)[0].system
 
 
 def waypoint_message(

@@ -12,8 +12,7 @@ Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Covariance = Annotated[
     tuple[float, float, float], Meta(description="(xx, xy, yy) of the source's position, m²")
 ]
-MOST = 2**32 - 1
-"""Greatest number that MAVLink's time_boot_ms can say; no mission has more steps."""
+MOST = 2**32 - 1  # greatest number that MAVLink's time_boot_ms can say; no mission has more steps
 TimeBootMs = Annotated[int, Meta(ge=0, le=MOST, description="time_boot_ms of the reading that this answers")]
 Step = Annotated[
     int,
@@ -24,9 +23,7 @@ Step = Annotated[
     ),
 ]
 Particles = NDArray[np.float32]
-"""(N, D + 1): a column for each unknown of the belief (x and y by default), then the weights, which sum to
-one.
-"""
+"""(N, D + 1): a column for each unknown of the belief, by default x and y, then the weights, of sum 1."""
 
 
 class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -84,8 +81,8 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             description="true if the stop criterion is met and the readings fit the model: the search is over"
         ),
     ]
+    # Older records lack this field and the next ones; their beliefs get these defaults.
     assume: Annotated[str, Meta(description="what is taken to be known, in the form of --assume")] = "paper"
-    """Older records lack this field and the next ones; their beliefs get these defaults."""
     stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread"
     evidence: Annotated[
         float,
@@ -171,9 +168,7 @@ def pack_particles(particles: Particles) -> bytes:
 
 
 def unpack_particles(payload: bytes, unknowns: int) -> Particles:
-    """Undo `pack_particles` for this number of unknowns; raises ValueError if the payload is not a valid
-    particle array.
-    """
+    """Undo `pack_particles` for this number of unknowns; raises ValueError for what it did not make."""
     row = 4 * (unknowns + 1)
     if not payload or len(payload) % row:
         raise ValueError(f"the particle array has {len(payload)} bytes; wanted a positive multiple of {row}")

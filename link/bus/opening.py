@@ -12,6 +12,7 @@ import zenoh
 import zenoh.ext
 
 from link.access.identity import Identity, is_refused, secured, why_not
+from link.access.reach import host_and_port
 from link.access.roles import ROUTER, access_control
 from link.bus.keys import BELIEF, KEYS, MIB, Delivery, Key
 
@@ -145,13 +146,12 @@ def kept_of(session: zenoh.Session, key: Key) -> list[tuple[bytes, bytes | None]
     """Return the messages of a key that this session itself keeps, oldest first, with their attachments."""
     if not (most := key.delivery.kept) or "<" in key.name:
         return []
-    replies = ask_for_kept(
-        session, key.name, most, zenoh.handlers.FifoChannel(most), zenoh.Locality.SESSION_LOCAL
-    )
-    samples = [reply.ok for reply in replies if reply.ok]
     return [
         (sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else None)
-        for sample in samples
+        for reply in ask_for_kept(
+            session, key.name, most, zenoh.handlers.FifoChannel(most), zenoh.Locality.SESSION_LOCAL
+        )
+        if (sample := reply.ok)
     ]
 
 
@@ -167,8 +167,8 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
             "ulimit -n 1024)"
         )
     config = zenoh.Config()
-    sized = {"transport/link/rx/max_message_size": MOST_MESSAGE}
-    for name, value in {"mode": mode, **SETTINGS, **sized}.items():
+    usual = {"mode": mode, **SETTINGS, "transport/link/rx/max_message_size": MOST_MESSAGE}
+    for name, value in usual.items():
         config.insert_json5(name, json.dumps(value))
     for kind, urls in endpoints.items():
         try:
@@ -181,8 +181,10 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
         try:
             config.insert_json5(name.replace("__", "/"), json.dumps(value))
         except zenoh.ZError:
-            words = "words separated by single slashes, without * $ ? #"
-            raise BusError(f"--{name}: {value!r} is not allowed; wanted {words}, like uav/1") from None
+            raise BusError(
+                f"--{name}: {value!r} is not allowed; wanted words separated by single slashes, without "
+                "* $ ? #, like uav/1"
+            ) from None
     return config
 
 
@@ -220,24 +222,16 @@ def low_pass_filter() -> list[dict[str, Any]]:
 
     A small key stays small.
     """
-    sizes = [
-        (
-            key.name,
-            ["put", "delete", "reply"],
-            [f"**/{key.name.replace('<service>', '*')}"],
-            key.most_mib * MIB,
-        )
-        for key in KEYS
-    ]
+    sizes = [(key.name, ["put", "delete", "reply"], f"**/{key.named()}", key.most_mib * MIB) for key in KEYS]
     return [
         {
             "id": name,
             "flows": ["ingress"],
             "messages": kinds,
-            "key_exprs": [*keys, *(f"{key}/@adv/**" for key in keys)],
+            "key_exprs": [key, f"{key}/@adv/**"],
             "size_limit": size,
         }
-        for name, kinds, keys, size in [*sizes, ("queries", ["query"], ["**"], MOST_QUERY)]
+        for name, kinds, key, size in [*sizes, ("queries", ["query"], "**", MOST_QUERY)]
     ]
 
 
@@ -253,11 +247,8 @@ def open_router(
     AccessError if it cannot be secured.
     """
     endpoint, known = secured("--listen", endpoint, secure, ROUTER, None)
-    rules = (
-        {"transport__link__tls": known.tls, "access_control": access_control(key.rights for key in KEYS)}
-        if known
-        else {}
-    )
+    rights = ((key.name, key.writers, key.readers) for key in KEYS)
+    rules = {"transport__link__tls": known.tls, "access_control": access_control(rights)} if known else {}
     limits = {
         "transport__link__tx__queue__congestion_control__block__wait_before_close": round(1e6 * FULL_S),
         "transport__unicast__max_sessions": MOST_SESSIONS,
@@ -265,10 +256,9 @@ def open_router(
         "transport__unicast__accept_timeout": round(1000 * JOINING_S),
         "low_pass_filter": low_pass_filter(),
     }
-    joined = {"connect": [connect]} if connect else {}
     config = zenoh_config(
         "router",
-        {"listen": [endpoint], **joined},
+        {"listen": [endpoint]} | ({"connect": [connect]} if connect else {}),
         adminspace__enabled=True,
         connect__retry=RETRY,
         **limits,
@@ -286,10 +276,10 @@ def open_router(
             f"{reason.group(1) if reason else str(error).split(' at /')[0]}"
         ) from None
     for reply in session.get(f"@/{session.zid()}/router"):
-        if reply.ok is not None:
-            addresses = json.loads(reply.ok.payload.to_bytes())["locators"] or at_loopback(endpoint)
-            if addresses:
-                return session, str(addresses[0])
+        if reply.ok and (
+            addresses := json.loads(reply.ok.payload.to_bytes())["locators"] or at_loopback(endpoint)
+        ):
+            return session, str(addresses[0])
     session.close()  # type: ignore[no-untyped-call]
     raise BusError(
         f"--listen: the router on {endpoint} does not report its address; wanted one with a port, like "
@@ -303,5 +293,5 @@ def at_loopback(endpoint: str) -> list[str]:
     Zenoh then reports no address. Empty for port 0.
     """
     protocol, _, address = endpoint.partition("/")
-    port = address.partition("#")[0].partition("?")[0].rpartition(":")[2]
+    _, port = host_and_port(address)
     return [f"{protocol}/{'[::1]' if address.startswith('[') else '127.0.0.1'}:{port}"] if port != "0" else []

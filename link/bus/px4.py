@@ -1,12 +1,25 @@
 """Message types of PX4 and ArduPilot that pymavlink's common dialect lacks in whole or in part."""
 
+import itertools
 import struct
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-# C type of a field: its code in `struct`.
-CODES = {"uint8_t": "B", "uint16_t": "H", "uint32_t": "I", "float": "f", "char": "s"}
+# C types of fields, and their codes in `struct`.
+CODES = {
+    "char": "s",
+    "int8_t": "b",
+    "uint8_t": "B",
+    "int16_t": "h",
+    "uint16_t": "H",
+    "int32_t": "i",
+    "uint32_t": "I",
+    "int64_t": "q",
+    "uint64_t": "Q",
+    "float": "f",
+    "double": "d",
+}
 
 
 class Field(NamedTuple):
@@ -30,17 +43,12 @@ def _message_type(number: int, name: str, *fields: Field) -> Any:
         vars(self).update(values)
 
     def pack(self: Any, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
-        values: list[Any] = []
-        for field in fields:
-            value = getattr(self, field.name)
-            values += value if isinstance(value, list) else [value]
-        packed: bytes = self._pack(
-            mav, self.crc_extra, self.unpacker.pack(*values), force_mavlink1=force_mavlink1
-        )
-        return packed
+        values = (getattr(self, field.name) for field in fields)
+        flat = itertools.chain.from_iterable(each if isinstance(each, list) else [each] for each in values)
+        payload = self.unpacker.pack(*flat)
+        return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))
 
     names = [field.name for field in fields]
-    form = "<" + "".join(f"{field.length or ''}{CODES[field.kind]}" for field in fields)
     attributes = {
         "id": number,
         "msgname": name,
@@ -49,7 +57,9 @@ def _message_type(number: int, name: str, *fields: Field) -> Any:
         "fieldtypes": [field.kind for field in fields],
         "array_lengths": [field.length for field in fields],
         "crc_extra": _crc_extra(name, fields),
-        "unpacker": struct.Struct(form),
+        "unpacker": struct.Struct(
+            "<" + "".join(f"{field.length or ''}{CODES[field.kind]}" for field in fields)
+        ),
         "__init__": init,
         "pack": pack,
     }
@@ -57,13 +67,13 @@ def _message_type(number: int, name: str, *fields: Field) -> Any:
 
 
 def _crc_extra(name: str, fields: tuple[Field, ...]) -> int:
-    """The byte that stands for a message's layout in its checksum (MAVLink guide, "CRC_EXTRA")."""
-    described = f"{name} ".encode()
-    for field in fields:
-        if field.extension:
-            continue
-        described += f"{field.kind} {field.name} ".encode() + (bytes([field.length]) if field.length else b"")
-    crc = mavlink.x25crc(described).crc
+    """Return the byte that stands for a message's layout in its checksum (MAVLink guide, "CRC_EXTRA")."""
+    described = [
+        f"{field.kind} {field.name} ".encode() + bytes([field.length] if field.length else [])
+        for field in fields
+        if not field.extension
+    ]
+    crc = mavlink.x25crc(b"".join([f"{name} ".encode(), *described])).crc
     return int(crc & 0xFF ^ crc >> 8)
 
 

@@ -53,24 +53,21 @@ class Sequence(Generic[T]):
 
         A message seen before is dropped.
         """
-        state = self._sources.pop(source) if source in self._sources else _Source()
-        self._sources[source] = state
+        state = self._sources[source] = self._sources.pop(source, _Source())
         if len(self._sources) > MOST_SOURCES:
             forgotten = self._sources.pop(next(iter(self._sources)))
             self.dropped += len(self._release(forgotten, list(forgotten.waiting)))
-        if number < state.next_number or number in state.waiting:
-            return []
-        if number > state.next_number:
+        if number > state.next_number and number not in state.waiting:
             self._wait(state, number, message, now_s)
+        if number != state.next_number:
             return []
         ready = [message]
         state.next_number += 1
         while state.next_number in state.waiting:
             ready += self._release(state, [state.next_number])
             state.next_number += 1
-        state.waiting_since_s = (
-            now_s  # messages are still coming in; the service may compute for long between two of them
-        )
+        # Messages are still coming in; the service may compute for long between two of them.
+        state.waiting_since_s = now_s
         return ready
 
     def _wait(self, state: _Source[T], number: int, message: T, now_s: float) -> None:

@@ -15,7 +15,7 @@ import zenoh
 
 from link.access.identity import secured
 from link.access.roles import OF_ALL_VEHICLES
-from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow, ServiceNames
+from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Drops, Inbox, ServiceNames
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
 from link.bus.messages import Health, Stop, stop_text
@@ -51,26 +51,19 @@ class Arrival(NamedTuple):
     attachment: bytes
     at: float = 0.0  # time of arrival, by time.monotonic()
     name: str = ""  # the key it was published on, within the namespace
+    # Time of publishing, ns since the Unix epoch: by the publisher's clock, or by the router's if the message
+    # has no timestamp.
     published_ns: int = 0
-    """Time of publishing, ns since the Unix epoch: by the publisher's clock, or by the router's if the
-    message has no timestamp.
-    """
+    # From a Tap: `published_ns`, clamped to the time between the previous `take` and now. They differ only if
+    # clocks differ.
     received_ns: int = 0
-    """From a Tap: `published_ns`, clamped to the time between the previous `take` and now. They differ only
-    if clocks differ.
-    """
+    # The publisher's identity and sequence number, if the messages of this key are put in order.
     number: tuple[str, int] | None = None
-    """The publisher's identity and sequence number, if the messages of this key are put in order."""
 
     @property
     def size(self) -> int:
         """Bytes that it holds."""
         return len(self.payload) + len(self.attachment)
-
-    @property
-    def service(self) -> str:
-        """Of HEALTH, the service that its key names."""
-        return self.name.rpartition("/")[2]
 
 
 def most_waiting(key: Key) -> int:
@@ -81,9 +74,9 @@ def most_waiting(key: Key) -> int:
     return WAITING_MESSAGES + key.delivery.kept
 
 
-def service_of(sample: zenoh.Sample) -> str:
-    """Return the service that a key of HEALTH names."""
-    return str(sample.key_expr).rpartition("/")[2]
+def service_of(name: object) -> str:
+    """Return the service that the name of a key of HEALTH ends with."""
+    return str(name).rpartition("/")[2]
 
 
 def _queue(put: Callable[[Any, int], None], arrival: Arrival) -> None:
@@ -144,17 +137,16 @@ class Bus:
         self._inbox = Inbox() if inbox is None else inbox
         self._declaring = threading.Lock()
         self._publishers: dict[str, Any] = {}
-        # What makes each of what we hold on the session: once more, if another takes its place.
-        self._declarations: dict[str, Callable[[zenoh.Session], Any]] = {}
-        self._held: dict[str, Any] = {}
+        # What we hold on the session, behind what makes it: once more, if another session takes its place.
+        self._held: dict[str, tuple[Callable[[zenoh.Session], Any], Any]] = {}
         self._sequences: dict[str, Sequence[Arrival]] = {}
-        self._overflows: dict[str, Overflow] = {}
+        self._drops: dict[str, Drops] = {}
         self._names = ServiceNames()
         self._ready: deque[Any] = deque()
         self._given_at = time.monotonic()
         self._health_at = math.inf
         self._expired = False
-        self._sole = Sole(self._own_health(), lambda: self.tally.uptime_s) if sole else None
+        self._sole = Sole(HEALTH.named(service), lambda: self.tally.uptime_s) if sole else None
         if self._sole:
             self._hold("own health", self._sole.listen)
             if self._sole.await_elder(lambda: service in self.services()):
@@ -162,7 +154,7 @@ class Bus:
                 raise self._superfluous()
         if announced:
             self._look_for_rights(HEALTH, HEALTH.writers, "publish", service)
-            self._hold("token", lambda session: session.liveliness().declare_token(self._own_health()))
+            self._hold("token", lambda session: session.liveliness().declare_token(HEALTH.named(service)))
 
     def _hold(self, name: str, declare: Callable[[zenoh.Session], Any]) -> None:
         """Declare something on the session, and on each that takes its place.
@@ -170,9 +162,8 @@ class Bus:
         It replaces what had this name.
         """
         if before := self._held.get(name):
-            before.undeclare()
-        self._declarations[name] = declare
-        self._held[name] = declare(self._session)
+            before[1].undeclare()
+        self._held[name] = declare, declare(self._session)
 
     def _superfluous(self) -> BusError:
         return BusError(f"another {self.service} is already on {self._namespace or 'the bus'}")
@@ -182,21 +173,17 @@ class Bus:
     ) -> None:
         """Say which right our certificate lacks: the router drops what it does not allow without a word."""
         if self._identity and (
-            reason := self._identity.lack(
-                roles, f"{verb} {key.name.replace('<service>', service or '*')}", service
-            )
+            reason := self._identity.lack(roles, f"{verb} {key.named(service or '*')}", service)
         ):
             self.log.warning(reason)
-
-    def _own_health(self) -> str:
-        return HEALTH.name.replace("<service>", self.service)
 
     def _publisher(self, key: Key) -> Any:
         if key.name not in self._publishers:
             with self._declaring:
-                name = self._own_health() if key is HEALTH else key.name
                 self._look_for_rights(key, key.writers, "publish", self.service if key is HEALTH else None)
-                self._publishers[key.name] = declare_publisher(self._session, name, key.delivery)
+                self._publishers[key.name] = declare_publisher(
+                    self._session, key.named(self.service), key.delivery
+                )
         return self._publishers[key.name]
 
     def publish(self, key: Key, message: bytes | msgspec.Struct, attachment: bytes | None = None) -> None:
@@ -225,7 +212,7 @@ class Bus:
             self._sequences[key.name] = Sequence(
                 most_waiting(key), WAITING_BYTES, lambda arrival: arrival.size
             )
-            self._overflows[key.name] = Overflow(key.name)
+            self._drops[key.name] = Drops(key.name)
 
     def on(self, key: Key, arrived: Callable[[Any], None], *, own: bool = True) -> None:
         """Call `arrived` with each message of a key, kept messages first, in a thread of Zenoh's.
@@ -237,19 +224,19 @@ class Bus:
 
         def received(sample: zenoh.Sample) -> None:
             if key is HEALTH:
-                heard.add(service_of(sample))
+                heard.add(service_of(sample.key_expr))
             if arrival := self._arrival(key, sample):
                 arrived(arrival)
 
         self._declare(key, received, zenoh.Locality.ANY if own else zenoh.Locality.REMOTE)
         if key is HEALTH:  # what is new may come before what is kept
             self._ask_for_kept_health(
-                lambda sample: received(sample) if service_of(sample) not in heard else None
+                lambda sample: received(sample) if service_of(sample.key_expr) not in heard else None
             )
 
     def _arrival(self, key: Key, sample: zenoh.Sample) -> Arrival | None:
         """Return what has come; None for the health of a service that is not admitted."""
-        if key is HEALTH and not self._names.admits(service_of(sample)):
+        if key is HEALTH and not self._names.admits(service_of(sample.key_expr)):
             return None
         stamp, info = sample.timestamp, sample.source_info if key.name in self._sequences else None
         return Arrival(
@@ -265,19 +252,23 @@ class Bus:
     def _accept(self, item: Any) -> None:
         """Make an item of the inbox ready, with those that waited for it."""
         if isinstance(item, Arrival) and item.number:
-            sequence = self._sequences[item.key.name]
-            self._ready += sequence.arrived(*item.number, item, time.monotonic())
+            self._ready += self._sequences[item.key.name].arrived(*item.number, item, time.monotonic())
         else:
             self._ready.append(item)
 
     def _declare(self, key: Key, handler: Any, origin: zenoh.Locality = zenoh.Locality.ANY) -> None:
         self._look_for_rights(key, (*key.readers, *OF_ALL_VEHICLES), "receive")
-        name = key.name.replace("<service>", "*")
-        self._hold(key.name, lambda session: declare_subscriber(session, name, key.delivery, handler, origin))
+        self._hold(
+            key.name, lambda session: declare_subscriber(session, key.named(), key.delivery, handler, origin)
+        )
 
     def _ask_for_kept_health(self, received: Callable[[zenoh.Sample], None]) -> None:
-        name, most = HEALTH.name.replace("<service>", "*"), HEALTH.delivery.kept
-        ask_for_kept(self._session, name, most, lambda reply: received(reply.ok) if reply.ok else None)
+        ask_for_kept(
+            self._session,
+            HEALTH.named(),
+            HEALTH.delivery.kept,
+            lambda reply: received(reply.ok) if reply.ok else None,
+        )
 
     def settle(self, timeout_s: float) -> None:
         """Wait, at most timeout_s, until all that was sent before has arrived, in both directions.
@@ -285,8 +276,7 @@ class Bus:
         What is called with a message (`on`) runs in another thread, and may be called a little later.
         """
         # A query that nobody answers: the router's reply comes after everything exchanged before it.
-        for _ in self._session.get("nobody", timeout=timeout_s):
-            pass
+        list(self._session.get("nobody", timeout=timeout_s))
 
     def watch_services(self) -> None:
         """Put a LivelinessChange into the inbox whenever a service joins or leaves.
@@ -297,21 +287,20 @@ class Bus:
         put = self._inbox.lane("liveliness")
 
         def changed(sample: zenoh.Sample) -> None:
-            if self._names.admits(service := service_of(sample)):
+            if self._names.admits(service := service_of(sample.key_expr)):
                 put(LivelinessChange(service, sample.kind == zenoh.SampleKind.PUT), 0)
 
-        name = HEALTH.name.replace("<service>", "*")
         self._hold(
-            "liveliness", lambda session: session.liveliness().declare_subscriber(name, changed, history=True)
+            "liveliness",
+            lambda session: session.liveliness().declare_subscriber(HEALTH.named(), changed, history=True),
         )
 
     def services(self) -> set[str]:
         """Return the names of the services present, by their liveliness tokens."""
-        replies = self._session.liveliness().get(HEALTH.name.replace("<service>", "*"))
         return {
             name
-            for reply in replies
-            if reply.ok is not None and self._names.admits(name := service_of(reply.ok))
+            for reply in self._session.liveliness().get(HEALTH.named())
+            if reply.ok is not None and self._names.admits(name := service_of(reply.ok.key_expr))
         }
 
     @property
@@ -330,26 +319,22 @@ class Bus:
         """
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while not self._ready:
-            self._look_after_sequences()
-            self._inbox.tell_dropped(self.log)
-            self._names.tell(self.log)
-            self.keep_health()
+            self._look_after()
             left_s = deadline - time.monotonic()
             if left_s < -SIGNAL_POLL_S:
                 return None  # a flood of duplicates must not extend the wait
             try:
-                item = self._inbox.get(timeout=min(SIGNAL_POLL_S, max(left_s, 0.0)))
+                self._accept(self._inbox.get(timeout=min(SIGNAL_POLL_S, max(left_s, 0.0))))
             except queue.Empty:
                 if left_s <= SIGNAL_POLL_S:
                     return None
-                continue
-            self._accept(item)
         item = self._ready.popleft()
         if isinstance(item, Arrival):
             self._given_at = item.at
         return item
 
-    def _look_after_sequences(self) -> None:
+    def _look_after(self) -> None:
+        """Ask again for missing messages, log what was lost or dropped, and publish health if it is time."""
         now_s = time.monotonic()
         for name, sequence in self._sequences.items():
             if sequence.should_ask_again(now_s):
@@ -362,7 +347,10 @@ class Bus:
             if missing:
                 self.log.warning(f"{missing} messages of {name} are lost: no publisher has kept them")
             self._ready += ready
-            self._overflows[name].tell(sequence.dropped, self.log)
+            self._drops[name].tell(sequence.dropped, self.log)
+        self._inbox.tell_dropped(self.log)
+        self._names.tell(self.log)
+        self.keep_health()
 
     def refuse(self, key: Key, reason: str, kind: str) -> None:
         """Count a dropped message under `kind` and log the reason.
@@ -370,9 +358,8 @@ class Bus:
         It is logged as info if it is only repeated, else as a warning.
         """
         self.tally.refuse(kind)
-        if len(reason) > MOST_REASON:
-            reason = f"{reason[:MOST_REASON]}…"
-        (self.log.info if kind == REPEATED else self.log.warning)(f"refused {key.name}: {reason}")
+        shown = reason if len(reason) <= MOST_REASON else f"{reason[:MOST_REASON]}…"
+        (self.log.info if kind == REPEATED else self.log.warning)(f"refused {key.name}: {shown}")
 
     def decode(self, arrival: Arrival, kind: type[T]) -> T | None:
         """Decode JSON into a struct. A message that does not decode is refused, and None is returned."""
@@ -381,8 +368,8 @@ class Bus:
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             self.refuse(arrival.key, str(error), "malformed")
             return None
-        if isinstance(said, Health) and arrival.service != said.service:
-            self.refuse(arrival.key, f"{arrival.service!r} says that it is {said.service!r}", "malformed")
+        if isinstance(said, Health) and (named := service_of(arrival.name)) != said.service:
+            self.refuse(arrival.key, f"{named!r} says that it is {said.service!r}", "malformed")
             return None
         return said
 
@@ -397,10 +384,10 @@ class Bus:
 
     def answered(self) -> None:
         """Report that the last received message has been answered: log its latency and publish health."""
-        tally = self.tally
-        tally.latency_s = time.monotonic() - self._given_at
+        self.tally.latency_s = time.monotonic() - self._given_at
         self.log.debug(
-            f"answered after {1000 * tally.latency_s:.2f} ms; {1000 * tally.compute_s:.2f} ms computed so far"
+            f"answered after {1000 * self.tally.latency_s:.2f} ms; {1000 * self.tally.compute_s:.2f} ms "
+            "computed so far"
         )
         self.publish_health()
 
@@ -431,6 +418,7 @@ class Bus:
 
     def keep_link(self) -> None:
         """Go on with a new session if the router keeps ours out: its id was taken while it was away.
+
         `keep_health` does it, too.
         """
         if (session := self._standby.look()) is None:
@@ -439,17 +427,19 @@ class Bus:
             f"the router admits others but not us: our session id {self._session.zid()} is taken; going on "
             "with a new one"
         )
-        before, kept = (
-            self._session,
-            [(key, kept_of(self._session, key)) for key in KEYS if key.name in self._publishers],
-        )
+        before = self._session
+        kept = [
+            (key, *message)
+            for key in KEYS
+            if key.name in self._publishers
+            for message in kept_of(before, key)
+        ]
         with self._declaring:
             self._session, self._publishers = session, {}
-        for name, declare in self._declarations.items():
-            self._held[name] = declare(session)
-        for key, messages in kept:
-            for payload, attachment in messages:
-                self.publish(key, payload, attachment)
+        for name, (declare, _) in self._held.items():
+            self._held[name] = declare, declare(session)
+        for message in kept:
+            self.publish(*message)
         before.close()  # type: ignore[no-untyped-call]
 
     def keep_health(self) -> None:
@@ -469,7 +459,7 @@ class Bus:
     def close(self) -> None:
         """Leave the bus. An open session would hang the exit of the process."""
         self._standby.close()
-        for held in self._held.values():
+        for _, held in self._held.values():
             held.undeclare()
         self._session.close()  # type: ignore[no-untyped-call]
 

@@ -1,7 +1,9 @@
 """One service of a name on a vehicle's bus: a second one is refused before it says anything."""
 
+import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 import msgspec
 import zenoh
@@ -24,7 +26,7 @@ class Sole:
         self.has_elder = False  # true once another is known to be there. Of the two, the younger has to go
         self._key = key
         self._uptime_s = uptime_s
-        self._first_s: float | None = None
+        self._first_s = math.inf  # the least uptime that an elder has told of
 
     def listen(self, session: zenoh.Session) -> zenoh.Subscriber[None]:
         """Listen on a session; returns the subscriber."""
@@ -34,7 +36,7 @@ class Sole:
         """Return whether one is there and stays. `is_there`: whether its token is."""
         deadline = time.monotonic() + WAIT_S
         while is_there():
-            if self._first_s is not None:
+            if self._first_s < math.inf:
                 deadline = min(deadline, time.monotonic() + APART_S)
             if time.monotonic() >= deadline:
                 return True
@@ -42,12 +44,8 @@ class Sole:
         return False
 
     def _heard(self, sample: zenoh.Sample) -> None:
-        try:
+        with suppress(msgspec.DecodeError, UnicodeDecodeError):
             uptime_s = msgspec.json.decode(sample.payload.to_bytes(), type=Health).uptime_s
-        except (msgspec.DecodeError, UnicodeDecodeError):
-            return
-        if uptime_s <= self._uptime_s():
-            return
-        if self._first_s is None or uptime_s < self._first_s:
-            self._first_s = uptime_s
-        self.has_elder = self.has_elder or uptime_s - self._first_s >= APART_S
+            if uptime_s > self._uptime_s():
+                self._first_s = min(self._first_s, uptime_s)
+                self.has_elder = self.has_elder or uptime_s - self._first_s >= APART_S

@@ -66,4 +66,3 @@ class Standby:
             self._thread.join()
         if self._found:
             self._found.close()  # type: ignore[no-untyped-call]
-            self._found = None

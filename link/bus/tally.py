@@ -26,12 +26,10 @@ class Recent:
 
     def add(self, now_s: float, count: int) -> None:
         """Count `count` events now."""
+        is_near = self._events and now_s - self._events[-1][0] < GRAIN * self._within_s
+        since_s, before = self._events.pop() if is_near else (now_s, 0)
+        self._events.append((since_s, before + count))
         self._total += count
-        if self._events and now_s - self._events[-1][0] < GRAIN * self._within_s:
-            since_s, before = self._events.pop()
-            self._events.append((since_s, before + count))
-        else:
-            self._events.append((now_s, count))
         self.total(now_s)
 
     def total(self, now_s: float) -> int:

@@ -5,7 +5,8 @@ tuples. A float that JSON cannot express (NaN, infinity) is therefore left out o
 """
 
 import math
-from typing import Annotated, Any, NamedTuple
+from collections.abc import Iterator
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta
@@ -52,26 +53,17 @@ class Malformed(msgspec.Struct, frozen=True):
     payload: Annotated[bytes, Meta(description="as it was published")]
 
 
-class Decoded(NamedTuple):
-    """One MAVLink message of a payload."""
+def decode(payload: bytes) -> Iterator[tuple[str, bytes]]:
+    """Yield type and JSON of the messages of a payload; raises BadFrame as `split` does.
 
-    kind: str
-    fields: bytes  # a JSON object: the message's fields, and its sender's system and component
-
-
-def decode(payload: bytes) -> list[Decoded]:
-    """Decode a payload of whole frames; raises BadFrame as `split` does.
-
-    It does not use pymavlink's decoder: that takes 10 µs per frame, and a vehicle at --speedup 0 sends
-    thousands a second.
+    The JSON is an object with the message's fields, and its sender's system and component. pymavlink's own
+    decoder is not used: it takes 10 µs per frame, and a vehicle at --speedup 0 sends thousands a second.
     """
-    messages = []
     for frame in split(payload):
         layout = LAYOUTS.get(frame.message_id)
         fields: dict[str, Any] = {"data": list(frame.data)} if layout is None else fields_of(frame)
         fields["system"], fields["component"] = frame.system, frame.component
-        messages.append(Decoded(UNKNOWN if layout is None else layout.kind, _encoded(fields)))
-    return messages
+        yield UNKNOWN if layout is None else layout.kind, _encoded(fields)
 
 
 def decode_reading(payload: bytes) -> FlatReading:
@@ -96,9 +88,8 @@ def _encoded(fields: dict[str, Any]) -> bytes:
 
 
 def _is_finite(value: Any) -> bool:
-    if isinstance(value, float):
-        return math.isfinite(value)
-    return not isinstance(value, list) or all(map(_is_finite, value))
+    values = value if isinstance(value, list) else [value]
+    return all(math.isfinite(each) for each in values if isinstance(each, float))
 
 
 def struct_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
@@ -109,11 +100,11 @@ def struct_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
             field["items"] = field.pop("prefixItems")[0]
         if "additionalProperties" in field:
             field["properties"] = {}
-    properties, required = (
-        {**schema["properties"], "simulation_s": SIMULATION_S},
-        [*schema["required"], "simulation_s"],
-    )
-    return {**schema, "properties": properties, "required": required}
+    return {
+        **schema,
+        "properties": {**schema["properties"], "simulation_s": SIMULATION_S},
+        "required": [*schema["required"], "simulation_s"],
+    }
 
 
 def message_schema(kind: str) -> dict[str, Any]:
@@ -125,17 +116,15 @@ def message_schema(kind: str) -> dict[str, Any]:
     else:
         message = TYPES[kind]
         counts = LAYOUTS[message.id].counts
-        for name, wire_type in zip(message.fieldnames, message.fieldtypes, strict=True):
-            field: dict[str, Any] = {"type": PLAIN.get(wire_type, "integer")}
-            if counts[name] > 1:
-                field = {"type": "array", "items": field}
-            if about := " ".join(
-                filter(None, (message.fieldunits_by_name.get(name), message.fieldenums_by_name.get(name)))
-            ):
-                field["description"] = about
-            properties[name] = field
-            if wire_type not in ("float", "double"):
-                required.append(name)
+        types = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
+        required = [name for name, wire_type in types.items() if wire_type not in ("float", "double")]
+        for name, wire_type in types.items():
+            value = {"type": PLAIN.get(wire_type, "integer")}
+            about = message.fieldunits_by_name.get(name), message.fieldenums_by_name.get(name)
+            properties[name] = {
+                **({"type": "array", "items": value} if counts[name] > 1 else value),
+                **({"description": " ".join(filter(None, about))} if any(about) else {}),
+            }
     properties |= {**SENDER, "simulation_s": SIMULATION_S}
     return {
         "title": kind,

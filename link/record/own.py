@@ -10,7 +10,7 @@ from link.bus.frames import Frame
 from link.bus.keys import HEALTH, MAVLINK_OUT
 from link.bus.mavlink import ONBOARD_COMPUTER, BadFrame, split
 
-OWN_HEALTH = HEALTH.name.replace("<service>", "uav")  # with --secure only the vehicle may publish it
+OWN_HEALTH = HEALTH.named("uav")  # with --secure only the vehicle may publish it
 
 
 class _Told(msgspec.Struct):
@@ -33,13 +33,13 @@ class OwnSystem:
             if key == OWN_HEALTH:
                 system = msgspec.json.decode(payload, type=_Told).system
             elif key == MAVLINK_OUT.name and not before:
-                system = next((frame.system for frame in split(payload) if _is_autopilot(frame)), 0)
+                system = next((frame.system for frame in split(payload) if _from_autopilot(frame)), 0)
         self.system = system or before
         return before not in (0, self.system)
 
     def sent(self, frame: Frame) -> bool:
         """Whether a frame is from the vehicle's own autopilot."""
-        return frame.system == self.system and _is_autopilot(frame)
+        return frame.system == self.system and _from_autopilot(frame)
 
     def searched(self, frame: Frame) -> bool:
         """Whether a frame is from the search that flies a real vehicle.
@@ -49,5 +49,5 @@ class OwnSystem:
         return frame.system == self.system and frame.component == ONBOARD_COMPUTER
 
 
-def _is_autopilot(frame: Frame) -> bool:
+def _from_autopilot(frame: Frame) -> bool:
     return frame.component == int(mavlink.MAV_COMP_ID_AUTOPILOT1)

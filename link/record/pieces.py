@@ -5,7 +5,7 @@ What is damaged is stepped over: the next chunk is looked for behind it.
 
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from typing import IO, NamedTuple
 
@@ -47,18 +47,16 @@ class Pieces:
 
         Records that mean nothing to us are left out.
         """
-        at = sound = len(
-            MCAP0_MAGIC
-        )  # all before `sound` is surely not the beginning of a chunk that is still to come
+        # All before `sound` is surely not the beginning of a chunk that is still to come.
+        at = sound = len(MCAP0_MAGIC)
         while at < self._size:
             kind, length = self._head(at)
             if not kind:
                 found = self._next_chunk(sound)
                 if found is None:
                     return
-                begin = (
-                    at if found >= at else sound
-                )  # behind it, or within a record that claims to be longer than it is
+                # Behind it, or within a record that claims to be longer than it is.
+                begin = at if found >= at else sound
                 yield Hole(begin, found - begin), None
                 at = sound = found
                 continue
@@ -124,16 +122,14 @@ class Pieces:
 def _parsed(kind: int, data: bytes) -> McapRecord | None:
     """Return a record from its bytes; None if they are damaged."""
     stream = ReadDataStream(BytesIO(data))
-    record: McapRecord
     try:
-        record = READ[kind].read(stream) if kind in READ else Message.read(stream, len(data))
+        return READ[kind](stream) if kind in READ else Message.read(stream, len(data))
     except DAMAGE:
         return None
-    return record
 
 
-READ: dict[int, type[Chunk] | type[Channel] | type[Metadata]] = {
-    Opcode.CHUNK: Chunk,
-    Opcode.CHANNEL: Channel,
-    Opcode.METADATA: Metadata,
+READ: dict[int, Callable[[ReadDataStream], McapRecord]] = {
+    Opcode.CHUNK: Chunk.read,
+    Opcode.CHANNEL: Channel.read,
+    Opcode.METADATA: Metadata.read,
 }

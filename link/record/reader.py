@@ -51,41 +51,56 @@ class RecordError(Exception):
 
 
 class Damage(NamedTuple):
-    """A place of a log that cannot be read."""
+    """A place of a log that cannot be read.
+
+    Attributes:
+        at: Where it begins in the file, bytes.
+        size: How much is lost, bytes.
+        after_s: Simulation time of the message before it, s; 0 if there is none.
+        before: How many messages come before it.
+    """
 
     at: int
-    """Where it begins in the file, bytes."""
     size: int
-    """How much is lost, bytes."""
     after_s: float
-    """Simulation time of the message before it, s; 0 if there is none."""
     before: int
-    """How many messages come before it."""
 
     def __str__(self) -> str:
         return f"{self.size:,} bytes at byte {self.at:,}, after {self.after_s:.2f} s of simulation"
 
 
 class Recording(NamedTuple):
-    """The contents of a log."""
+    """The contents of a log.
+
+    Attributes:
+        about: The run's description by the launcher, with versions, git revision, host and namespace; empty
+            if the file has none.
+        entries: All messages, in the order of recording.
+        complete: False if the file is truncated or damaged, or if recording stopped early; in the latter
+            case about["stopped"] gives the reason.
+        damage: The places that are left out because they cannot be read.
+    """
 
     about: dict[str, Any]
-    """The run's description by the launcher, with versions, git revision, host and namespace; empty if the
-    file has none.
-    """
     entries: list[Entry]
-    """All messages, in the order of recording."""
     complete: bool
-    """False if the file is truncated or damaged, or if recording stopped early; in the latter case
-    about["stopped"] gives the reason.
-    """
     damage: tuple[Damage, ...] = ()
-    """The places that are left out because they cannot be read."""
 
     @property
     def shortcoming(self) -> str:
         """What people should know of it, after its name: `is cut off ...`; empty if it is complete."""
-        return shortcoming(self)
+        if self.complete:
+            return ""
+        if self.damage:
+            places = "; ".join(map(str, self.damage[:LISTED]))
+            more = f"; and {len(self.damage) - LISTED:,} more places" * (len(self.damage) > LISTED)
+            return f"is damaged, and lacks {places}{more}"
+        reason = self.about.get(STOPPED)
+        return (
+            f"ends early: {printable(str(reason))}"
+            if reason
+            else "is cut off, damaged or still being written: what follows is missing"
+        )
 
 
 def is_record(path: Path) -> bool:
@@ -124,9 +139,9 @@ def read(path: Path | str) -> Recording:
     for entry in log:
         held += len(entry.payload) + len(entry.attachment) + MESSAGE_BYTES
         if held > LARGEST_RECORD:
-            gib = f"{LARGEST_RECORD / 2**30:g} GiB"
             raise RecordError(
-                f"{path} holds more than {gib} of messages; cut out a part of it with `mcap filter`"
+                f"{path} holds more than {LARGEST_RECORD / 2**30:g} GiB of messages; cut out a part of it "
+                "with `mcap filter`"
             )
         entries.append(entry)
     return Recording(log.about, entries, log.complete, tuple(log.damage))
@@ -168,7 +183,7 @@ class LogFile:
     @property
     def shortcoming(self) -> str:
         """What people should know of it, after its name: `is cut off ...`; empty if it is complete."""
-        return shortcoming(self)
+        return Recording(self.about, [], self.complete, tuple(self.damage)).shortcoming
 
     def _read(self, file: IO[bytes], size: int) -> Iterator[Entry]:
         pieces, self._may_unpack = Pieces(file, size), max(SMALL, MOST_RATIO * size)
@@ -242,10 +257,9 @@ class LogFile:
         about = {name: value_of(text) for name, text in told.items()}
         written = about.pop(FORMAT_NAME, 0)
         if written not in READABLE:
-            formats = ", ".join(map(str, READABLE))
             raise RecordError(
                 f"{self._path} has record format {printable(str(written))} of another plumeward version; "
-                f"readable formats: {formats}"
+                f"readable formats: {', '.join(map(str, READABLE))}"
             )
         self.about |= about
         self._format = max(self._format, written)
@@ -253,17 +267,12 @@ class LogFile:
     def _message(self, key: str, ending: str, sequence: int, published_ns: int, data: bytes) -> None:
         newest = self._newest
         if not ending and key in FRAME_KEYS:
-            key = key_today(key, data, self._format)
-            self._begin(Entry(key, published_ns, newest.simulation_s if newest else 0.0, data), sequence)
-        elif not ending:
-            payload, simulation_s = without_time(data)
-            self._begin(Entry(key, published_ns, simulation_s, payload), sequence)
-        elif ending == MALFORMED and key not in FRAME_KEYS:
+            simulation_s = newest.simulation_s if newest else 0.0
+            self._begin(Entry(key_today(key, data, self._format), published_ns, simulation_s, data), sequence)
+        elif ending in ("", MALFORMED) and key not in FRAME_KEYS:
             text, simulation_s = without_time(data)
-            self._begin(
-                Entry(key, published_ns, simulation_s, msgspec.json.decode(text, type=Malformed).payload),
-                sequence,
-            )
+            payload = msgspec.json.decode(text, type=Malformed).payload if ending else text
+            self._begin(Entry(key, published_ns, simulation_s, payload), sequence)
         elif newest is None or sequence != self._sequence:
             return
         elif ending in (PARTICLES, ATTACHMENT):
@@ -285,19 +294,3 @@ UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
     "lz4": lambda data, size: lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size),
     "zstd": lambda data, size: zstandard.ZstdDecompressor().stream_reader(data).read(size),
 }
-
-
-def shortcoming(log: Recording | LogFile) -> str:
-    """Return what people should know of a log, after its name: `is cut off ...`; empty if it is complete."""
-    if log.complete:
-        return ""
-    if log.damage:
-        places = "; ".join(map(str, log.damage[:LISTED]))
-        more = f"; and {len(log.damage) - LISTED:,} more places" * (len(log.damage) > LISTED)
-        return f"is damaged, and lacks {places}{more}"
-    reason = log.about.get(STOPPED)
-    return (
-        f"ends early: {printable(str(reason))}"
-        if reason
-        else "is cut off, damaged or still being written: what follows is missing"
-    )

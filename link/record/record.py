@@ -43,14 +43,19 @@ HEALTH_PREFIX = HEALTH.name.removesuffix("<service>")
 
 
 class Entry(NamedTuple):
-    """One message of a run."""
+    """One message of a run.
+
+    Attributes:
+        key: Relative to the vehicle's namespace: `reading`, `mavlink/out`, `health/uav`.
+        published_ns: When it was published, ns since the Unix epoch.
+        simulation_s: Simulation time, s: the message's own if it has one, else the newest known.
+        payload: The message, as it was published.
+        attachment: What came with it: the particles of a belief.
+    """
 
     key: str
-    """Relative to the vehicle's namespace: `reading`, `mavlink/out`, `health/uav`."""
     published_ns: int
-    """When it was published, ns since the Unix epoch."""
     simulation_s: float
-    """Simulation time, s: the message's own if it has one, else the newest known."""
     payload: bytes
     attachment: bytes = b""
 
@@ -78,7 +83,7 @@ def key_today(key: str, payload: bytes, written: int) -> str:
     frame = frame_at(payload) if written < FORMAT and key == MAVLINK_IN.name else None
     return (
         WAYPOINT.name
-        if frame and frame.message_id in SETPOINT and frame.component == ONBOARD_COMPUTER
+        if frame and frame.message_id in ANSWER_TIME and frame.component == ONBOARD_COMPUTER
         else key
     )
 
@@ -93,7 +98,7 @@ class _Timed(msgspec.Struct):
 # ATTITUDE, LOCAL_POSITION_NED and GLOBAL_POSITION_INT begin with the vehicle's own time_boot_ms.
 OWN_TIME = {30, 32, 33}
 # SET_POSITION_TARGET_LOCAL_NED begins with the time_boot_ms of the reading it answers.
-SETPOINT = {84}
+ANSWER_TIME = {84}
 
 
 def _time_boot_ms(
@@ -103,10 +108,8 @@ def _time_boot_ms(
 
     It reads headers only.
     """
-    for frame in frames_in(payload):
-        if frame.message_id in message_ids and counts(frame):
-            return int.from_bytes(frame.payload[:4], "little")
-    return None
+    ours = (frame for frame in frames_in(payload) if frame.message_id in message_ids and counts(frame))
+    return next((int.from_bytes(frame.payload[:4], "little") for frame in ours), None)
 
 
 # Most readings remembered: repeated and answered ones are among the last few.
@@ -139,8 +142,8 @@ class SimulationClock:
                 answered = msgspec.json.decode(payload, type=_Timed).time_boot_ms
                 own = self._readings.get(answered, answered)
         elif key == WAYPOINT.name:
-            if (setpoint := _time_boot_ms(payload, SETPOINT)) is not None:
-                own = self._readings.get(setpoint)  # it may answer none
+            if (answered_ms := _time_boot_ms(payload, ANSWER_TIME)) is not None:
+                own = self._readings.get(answered_ms)  # it may answer none
         elif (boot_ms := self._boot_ms(key, payload)) is not None:
             own = continued(self._newest_ms, boot_ms)
             if key == READING.name:
@@ -150,11 +153,11 @@ class SimulationClock:
         return (self._newest_ms if own is None else own) / 1000.0
 
     def _boot_ms(self, key: str, payload: bytes) -> int | None:
-        if key == MAVLINK_OUT.name:
-            return _time_boot_ms(payload, OWN_TIME, self._own.sent)
-        if key in FRAME_KEYS and key != MAVLINK_IN.name:  # a ground station has times of its own
-            return _time_boot_ms(payload, OWN_TIME)
-        return None
+        if key not in FRAME_KEYS or key == MAVLINK_IN.name:  # a ground station has times of its own
+            return None
+        return _time_boot_ms(
+            payload, OWN_TIME, lambda frame: key != MAVLINK_OUT.name or self._own.sent(frame)
+        )
 
     def _noted(self, boot_ms: int, time_ms: int) -> int:
         """Return the time of a reading: that at which it first came."""
@@ -189,16 +192,13 @@ def began_s(times_s: Iterable[float]) -> float:
 
 def text_of(value: object) -> str:
     """Return a metadata value as text: JSON, except that a string which is not valid JSON stays as it is."""
-    if isinstance(value, str):
-        try:
-            json.loads(value)
-        except ValueError:
-            return value
+    if isinstance(value, str) and value_of(value) is value:
+        return value
     return json.dumps(value, ensure_ascii=False)
 
 
 def value_of(text: str) -> Any:
-    """Undo `text_of`."""
+    """Undo `text_of`: what is not valid JSON is returned as it is."""
     try:
         return json.loads(text)
     except ValueError:

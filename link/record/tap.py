@@ -1,5 +1,6 @@
 """A tap on the bus: takes all messages, many at once, for the recorder."""
 
+import contextlib
 import queue
 import threading
 import time
@@ -9,7 +10,7 @@ from typing import Any
 
 import zenoh
 
-from link.bus.inbox import Overflow
+from link.bus.inbox import Drops
 from link.bus.keys import HEALTH, Key
 from link.bus.opening import DEFAULT_ROUTER
 from link.bus.session import Arrival, Bus, most_waiting
@@ -17,8 +18,6 @@ from link.bus.session import Arrival, Bus, most_waiting
 # How often Zenoh's rings are emptied: they are bounded by messages alone, of any size, and drop without a
 # word.
 DRAIN_EVERY_S = 0.05
-# A key whose messages come into a ring of Zenoh's, and what puts them into the inbox.
-Ring = tuple[Key, Callable[[Any, int], None]]
 
 
 class Tap(Bus):
@@ -39,17 +38,16 @@ class Tap(Bus):
         **settings: Any,
     ) -> None:
         self._taken_ns = 0
-        self._rings: dict[str, Ring] = {}
+        # The keys whose messages come into rings, and what puts them into the inbox.
+        self._rings: dict[str, tuple[Key, Callable[[Any, int], None]]] = {}
         self._draining = threading.Lock()
         self._full = 0
-        self._fullness = Overflow("messages")
+        self._fullness = Drops("messages")
         self._ended = threading.Event()
         # Each message keeps its receive buffer. With the default of 64 kB, clearing the buffers is half the
         # cost of receiving.
-        small = {"transport__link__tx__batch_size": 16_384}
-        super().__init__(
-            service, connect, namespace, log_level=log_level, announced=announced, **small | settings
-        )
+        settings = {"transport__link__tx__batch_size": 16_384} | settings
+        super().__init__(service, connect, namespace, log_level=log_level, announced=announced, **settings)
         self._drainer = threading.Thread(target=self._keep_draining, name="tap", daemon=True)
         self._drainer.start()
 
@@ -66,17 +64,11 @@ class Tap(Bus):
         """Return the messages that arrived since the last call, in order of publishing."""
         now_ns = time.time_ns()
         self._drain()
-        for _ in range(self._inbox.waiting()):  # new messages keep coming
-            try:
-                item = self._inbox.get(timeout=0)
-            except queue.Empty:  # dropped meanwhile
-                break
-            self._accept(item)
-        self._look_after_sequences()
-        self._inbox.tell_dropped(self.log)
+        with contextlib.suppress(queue.Empty):  # some may be dropped meanwhile
+            for _ in range(self._inbox.waiting()):  # new messages keep coming
+                self._accept(self._inbox.get(timeout=0))
         self._fullness.tell(self._full, self.log)
-        self._names.tell(self.log)
-        self.keep_health()
+        self._look_after()
         taken = [
             message._replace(received_ns=min(max(message.published_ns, self._taken_ns), now_ns))
             for message in sorted(self._ready, key=lambda message: message.published_ns)
@@ -109,7 +101,7 @@ class Tap(Bus):
 
         Returns whether it was full, and so may have dropped messages: nobody knows how many.
         """
-        handler = self._held[key.name].handler
+        handler = self._held[key.name][1].handler
         for _ in range(most_waiting(key)):
             try:
                 sample = handler.try_recv()
@@ -121,6 +113,5 @@ class Tap(Bus):
         return True
 
     def _move(self, key: Key, put: Callable[[Any, int], None], sample: zenoh.Sample) -> None:
-        """Put a message into the inbox."""
         if message := self._arrival(key, sample):
             put(message, message.size)

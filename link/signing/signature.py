@@ -9,9 +9,9 @@ import hashlib
 import hmac
 from functools import cache
 
-from link.bus.frames import HEADER_2, MAVLINK_2, SIGNATURE, SIGNED, crc16
+from link.bus.frames import CHECKSUM, HEADER_2, MAVLINK_2, SIGNATURE, SIGNED, crc16
 
-FLAGS_AT, CHECKSUM = 2, 2
+FLAGS_AT = 2
 DIGEST = 6
 LINK_AT, TIMESTAMP_AT = -SIGNATURE, -SIGNATURE + 1
 

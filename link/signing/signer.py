@@ -34,7 +34,7 @@ class Signing:
         who: whose timestamps they are; part of the name of their file, which lies beside the key.
         """
         key = read_key(path)
-        self._secret = key.secret
+        self.secret = key.secret
         file = Path(path).resolve()
         self._who = who
         self._numbers: set[int] = set()
@@ -60,7 +60,7 @@ class Signing:
         while number in self._numbers and len(self._numbers) < 256:
             number = (number + 1) % 256
         self._numbers.add(number)
-        return Signer(self._secret, self.timestamps, number, url)
+        return Signer(self, number, url)
 
     def close(self) -> None:
         """Free the file."""
@@ -70,9 +70,8 @@ class Signing:
 class Signer:
     """Signs and verifies the frames of one link. Safe in several threads."""
 
-    def __init__(self, secret: bytes, timestamps: Timestamps, number: int, url: str) -> None:
-        self._secret = secret
-        self._timestamps = timestamps
+    def __init__(self, signing: Signing, number: int, url: str) -> None:
+        self._signing = signing
         self._number = number
         self._url = url
         self._lock = threading.Lock()
@@ -85,13 +84,13 @@ class Signer:
         if frame[0] == MAVLINK_1:
             return b""
         system, component = frame[SYSTEM_AT : SYSTEM_AT + 2]
-        return signed(
-            frame, self._secret, self._number, self._timestamps.next((system, component, self._number))
-        )
+        timestamp = self._signing.timestamps.next((system, component, self._number))
+        return signed(frame, self._signing.secret, self._number, timestamp)
 
     def admits(self, frame: bytes, sender: str) -> bool:
-        """Whether a whole frame is rightly signed and new, or needs no signature. If not, it is counted.
-        sender: for people.
+        """Whether a whole frame is rightly signed and new, or needs no signature.
+
+        If not, it is counted. sender: for people.
         """
         if not (reason := self._fault(frame)):
             return True
@@ -99,10 +98,9 @@ class Signer:
             self._refused[reason] += 1
             if (sender, reason) not in self._told and len(self._told) <= MOST_TOLD:
                 self._told.add((sender, reason))
-                more = len(self._told) > MOST_TOLD
                 self._lines.append(
                     f"{self._url}: more senders are refused; they are only counted from now on"
-                    if more
+                    if len(self._told) > MOST_TOLD
                     else f"{self._url}: {sender}: frames {reason} are refused"
                 )
         return False
@@ -111,12 +109,12 @@ class Signer:
         parts = frame_at(frame)
         if parts is None or not is_signed(frame):
             return "" if parts and parts.message_id in FREE else UNSIGNED
-        if not is_genuine(frame, self._secret):
+        if not is_genuine(frame, self._signing.secret):
             return WRONG
         link, timestamp = link_and_timestamp(frame)
-        if self._timestamps.accept((parts.system, parts.component, link), timestamp):
+        if self._signing.timestamps.accept((parts.system, parts.component, link), timestamp):
             return ""
-        return FAR_AHEAD if self._timestamps.is_far_ahead(timestamp) else OLD
+        return FAR_AHEAD if self._signing.timestamps.is_far_ahead(timestamp) else OLD
 
     def tell(self, log: Log) -> Counter[str]:
         """Log and count what has been refused since the last call; returns the counts by reason."""
@@ -127,7 +125,7 @@ class Signer:
             log.tally.refuse(f"{reason} ({self._url})", count)
         for line in lines:
             log.warning(line)
-        if notice := self._timestamps.notice:
-            self._timestamps.notice = ""
+        if notice := self._signing.timestamps.notice:
+            self._signing.timestamps.notice = ""
             log.warning(notice)
         return refused

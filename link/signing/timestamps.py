@@ -54,7 +54,7 @@ class Timestamps:
         # A warning that waits to be logged: the file cannot be written, or a sender is far ahead.
         self.notice = ""
         self._failed = self._ahead = False
-        self._written = 0  # how many lines have been written
+        self._unsynced = True  # the file may be new
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         except OSError as error:
@@ -155,7 +155,6 @@ class Timestamps:
             )
 
     def _remember(self, stream: Stream, timestamp: int) -> None:
-        """Write a timestamp down."""
         if stream not in self._lines:
             while len(self._lines) >= MOST_STREAMS:
                 self._forget()
@@ -174,7 +173,7 @@ class Timestamps:
         self._remember(FORGOTTEN, timestamp)
 
     def _write(self, number: int, line: bytes) -> None:
-        self._written += 1
+        self._unsynced = True
         try:
             os.pwrite(self._file, line, number * len(EMPTY))
         except OSError as error:
@@ -187,10 +186,9 @@ class Timestamps:
 
     def _keep(self) -> None:
         """Bring what is written to the disk, until the end."""
-        kept = -1
         while not self._closed.wait(KEPT_EVERY_S):
-            if self._written != kept:
-                kept = self._written
+            if self._unsynced:
+                self._unsynced = False
                 with suppress(OSError):
                     os.fdatasync(self._file)
 

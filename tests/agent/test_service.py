@@ -68,7 +68,7 @@ def test_an_agent_that_was_told_no_system_id_takes_the_one_of_the_vehicles_healt
 
     def health(service: str, system: int) -> Arrival:
         status = Health(service, "searching", 0, 0.0, 1.0, {}, system=system)
-        return Arrival(HEALTH, msgspec.json.encode(status), b"", name=service)
+        return Arrival(HEALTH, msgspec.json.encode(status), b"", name=f"health/{service}")
 
     bus = QuietBus(one, health("uav", 0), health("recorder", 9), one, health("uav", 32), one)
     until_all_are_taken(lambda: service.run(bus, "homing", 3, 300, None, reach("homing")))

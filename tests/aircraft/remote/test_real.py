@@ -18,7 +18,7 @@ from aircraft.search.events import Dropout, Hold, Land, OnBoard, Resume, Return
 from aircraft.search.uav import Equipment, Speaker
 from link.bus.inbox import Inbox
 from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, READING, WAYPOINT, Key
-from link.bus.mavlink import BadFrame, Codec, sender, unpack, unpack_reading, waypoint_message
+from link.bus.mavlink import BadFrame, Codec, split, unpack, unpack_reading, waypoint_message
 from link.bus.session import Arrival, LivelinessChange
 from link.interrupts import on_end
 from plume.scenario import draw
@@ -69,7 +69,7 @@ class Others(QuietBus):
 
     def answer(self, payload: bytes) -> None:
         """Answer a reading as the agent does, with a waypoint 1 m further east."""
-        said, system = unpack_reading(payload), sender(payload)
+        said, system = unpack_reading(payload), split(payload)[0].system
         place = min(said.position[0] + 1.0, 29.0), said.position[1]
         self.due.append(
             Arrival(
@@ -154,7 +154,7 @@ def test_readings_have_the_autopilots_id_and_its_clock_at_the_place_that_it_told
     bus = fly(cockpit, lambda bus: len(bus.readings) >= 4)
     told = places(cockpit)
     for payload in bus.readings:
-        assert sender(payload) == 32
+        assert split(payload)[0].system == 32
         reading = unpack_reading(payload)
         assert reading.position == pytest.approx(told[reading.time_boot_ms], abs=0.02)
     assert [*dict.fromkeys(bus.systems)] == [0, 32]

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from link.access.authority import CertificateError, host, make
+from link.access.authority import host, make
+from link.access.identity import AccessError
 
 ROLES = ["vehicle", "estimator", "agent", "payload", "bridge"]
 
@@ -130,7 +131,7 @@ def test_a_key_without_its_certificate_is_not_overwritten(tmp_path: Path) -> Non
     make(tmp_path, [1])
     (tmp_path / "operator.pem").unlink()
     with pytest.raises(
-        CertificateError, match=r"operator\.key is there without operator\.pem: delete it, or give --force"
+        AccessError, match=r"operator\.key is there without operator\.pem: delete it, or give --force"
     ):
         make(tmp_path, [1])
 
@@ -141,7 +142,7 @@ def test_where_only_the_certificate_of_the_ca_is_nothing_is_made_and_nobody_is_t
     make(tmp_path, [1])
     (tmp_path / "ca.key").unlink()
     with pytest.raises(
-        CertificateError, match=r"ca\.pem is there without ca\.key: certificates are made where both are$"
+        AccessError, match=r"ca\.pem is there without ca\.key: certificates are made where both are$"
     ):
         make(tmp_path, [2], force=True)
 
@@ -152,7 +153,7 @@ def test_a_certificate_of_another_ca_is_not_listed_as_kept(tmp_path: Path) -> No
     for file in ("ca.pem", "ca.key"):
         shutil.copy(tmp_path / "other" / file, tmp_path / "one" / file)
     with pytest.raises(
-        CertificateError,
+        AccessError,
         match=r"router\.pem is not from the CA of .*ca\.pem: delete it and its key, or give --force",
     ):
         make(tmp_path / "one", [1])
@@ -169,7 +170,7 @@ def test_a_certificate_of_another_ca_is_not_listed_as_kept(tmp_path: Path) -> No
 def test_damaged_files_are_named(tmp_path: Path, file: str, content: bytes, reason: str) -> None:
     make(tmp_path, [1])
     (tmp_path / file).write_bytes(content)
-    with pytest.raises(CertificateError, match=reason) as refused:
+    with pytest.raises(AccessError, match=reason) as refused:
         make(tmp_path, [1])
     assert file in str(refused.value)
 
@@ -177,7 +178,7 @@ def test_damaged_files_are_named(tmp_path: Path, file: str, content: bytes, reas
 def test_an_expired_ca_signs_nothing(tmp_path: Path) -> None:
     long_ago = datetime.datetime(2000, 1, 1, tzinfo=datetime.UTC)
     make(tmp_path, [1], now=long_ago)
-    with pytest.raises(CertificateError, match="has expired: make a new CA"):
+    with pytest.raises(AccessError, match="has expired: make a new CA"):
         make(tmp_path, [2])
 
 

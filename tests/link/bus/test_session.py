@@ -300,8 +300,8 @@ def test_who_speaks_with_the_source_id_of_another_hides_no_health_of_that(
             settle(stranger)
             agent.publish_health()
             wait_until(lambda: len(overheard) == 2)
-            heard = [viewer.receive(timeout_s=60.0).service for _ in range(101)]
-            assert heard == ["agent", *["observer"] * 99, "agent"]
+            heard = [viewer.receive(timeout_s=60.0).name for _ in range(101)]
+            assert heard == ["health/agent", *["health/observer"] * 99, "health/agent"]
 
 
 def test_a_session_whose_id_is_taken_while_it_is_away_goes_on_with_a_new_one(
