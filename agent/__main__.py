@@ -144,8 +144,7 @@ def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> i
     args = parse(prog, sys.argv[1:] if arguments is None else arguments)
     try:
         if args.command in OTHERS:
-            status: int = _module(args.command).run(args)
-            return status
+            return int(_module(args.command).run(args))
         (_rollout if args.command == "rollout" else _serve)(args)
     except PolicyError as error:
         if error.__cause__:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from agent.planning.moves import Headings, Move, Reach
 from link.bus.messages import Belief, Particles
+from plume.elementary import Array
 
 if TYPE_CHECKING:
     from agent.observation import Schema
@@ -82,7 +83,7 @@ class Bundle:
                 f"{GRAPH} gives arrays of {[list(gives)]}; wanted one, of [1, {page.move.outputs}]"
             )
 
-    def said(self, observation: NDArray[np.float32]) -> NDArray[np.float64]:
+    def said(self, observation: NDArray[np.float32]) -> Array:
         """Return the network's output for an observation (F,): (1, A).
 
         Raises BundleError on NaN: argmax would silently pick one.

@@ -23,20 +23,18 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from link.bus.messages import Belief, Particles
 from plume import elementary
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.elementary import Array, Indices
 from plume.numerics import exp, log, log1p, total_of
 from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
 from plume.sensor import GAUSSIAN
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Observation = NDArray[np.float32]
 # (3,): direction (cos, sin) of the observation's x axis in the world; 1, or −1 if its y axis is mirrored.
 Frame = Array
@@ -79,7 +77,7 @@ TANGENTS = np.divide(*reversed(elementary.direction(np.array([1, 3, 5, 7]) / 32)
 COSINES, SINES = elementary.direction(np.arange(HEADINGS) / HEADINGS)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
     """Fill `frame` and `result` (PAPER,): lengths as shares of the area's side, and the reading z as
     sign(z) log(1 + |z|).
@@ -97,7 +95,7 @@ def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, re
         result[k] = min(max(numbers[k], -BOUND), BOUND)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
     """Fill `frame` and `result` (POLAR,) from particles (N,) and facts (13,). The weights are overwritten."""
     inside, off, spread, xx, xy = _frame(x, y, weights, facts, frame)
@@ -147,7 +145,7 @@ def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, resul
         result[POLAR - NUMBERS + k] = min(max(numbers[k], -BOUND), BOUND)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _frame(
     x: Array, y: Array, weights: Array, facts: Array, frame: Frame
 ) -> tuple[float, float, float, float, float]:
@@ -186,7 +184,7 @@ def _frame(
     return inside, off, math.sqrt(square), along, across
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
     """Fill `result` (CELLS,) with 2 √mass of each sector, ring after ring; the first sector is centred on
     the frame's x axis.
@@ -213,7 +211,7 @@ def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
         result[cell] = 2 * math.sqrt(mass[cell])
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
     """Fill `result` with the approximate information gain of a reading in each heading, nats, first for
     AHEAD_M[0], then AHEAD_M[1].
@@ -268,7 +266,7 @@ def _see_polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, r
     _polar(x, y, weights, facts, frame, result)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _as_sent(particles: Array, weights: Array, total: float, x: Array, y: Array, sent: Array) -> None:
     """Fill x, y and `sent` with particles (2, N) and normalised weights as they cross the wire: float32
     values.

@@ -166,8 +166,7 @@ def _planned(name: str) -> Policy:
     def waypoint(
         belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator
     ) -> Sequence[float]:
-        chosen: Sequence[float] = reach.moves(belief.position)[plan(belief, particles, reach, rng)].tolist()
-        return chosen
+        return tuple(reach.moves(belief.position)[plan(belief, particles, reach, rng)])
 
     return waypoint
 

@@ -8,16 +8,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.belief import evidence, fit, locates, may_claim, sure_enough
 from estimator.filter import Config, Posterior, prior
 from estimator.kernels.densities import Model
 from estimator.kernels.update import WeightedSample, update_missions
 from estimator.kernels.weights import moments_of_missions
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from plume.elementary import Array, Indices
 
 # Most missions that a thread takes at once; small portions balance the load, since missions differ much in
 # cost.

@@ -5,14 +5,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from estimator.filter import Array, Config, Posterior
+from estimator.filter import Config, Posterior
 from estimator.kernels.checks import log_likelihood_of_one_value, uniformity_p_value
 from estimator.kernels.densities import log_priors
 from estimator.kernels.weights import effective_sample_size, moments, weighted_mean
 from estimator.priors import Fixed
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles, Stop
-from plume.elementary import direction
+from plume.elementary import Array, direction
 from plume.parameters import PARAMETERS
 
 RECENT = 30

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator import priors
 from estimator.assumptions import effective_priors
@@ -17,12 +16,11 @@ from estimator.kernels.densities import Model, log_priors
 from estimator.kernels.update import WeightedSample, update
 from estimator.priors import Prior, Uniform
 from link.bus.mavlink import Reading
+from plume.elementary import Array, Indices
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import keyed
 from plume.scenario import AREA_M, LIFETIME_S
 from plume.sensor import GAUSSIAN, Gaussian, Sensor, sensor_row, text
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ class Config:
         return priors.table({"x": everywhere, "y": everywhere, **self.effective_priors}, known, self.area_m)
 
     @cached_property
-    def unknown_indices(self) -> NDArray[np.int64]:
+    def unknown_indices(self) -> Indices:
         """(D,): indices into `plume.parameters.PARAMETERS` of the unknowns."""
         return np.flatnonzero((self.prior_rows[:, 0] != KNOWN) & (self.prior_rows[:, 0] != MEASURED))
 

@@ -5,13 +5,10 @@ from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.elementary import exp, log
+from plume.elementary import Array, Indices, exp, log
 from plume.parameters import GAMMA, GREATEST_CV, KNOWN, LOGNORMAL, MEASURED, MOST, NORMAL, PARAMETERS, UNIFORM
 from plume.randomness import standard_gamma, standard_normal
-
-Array = NDArray[np.float64]
 
 SMALLEST = 1e-6
 """Lower bound of a positive parameter under every prior, so that it stays above 0."""
@@ -157,7 +154,7 @@ def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float
     return rows
 
 
-def draw(rows: Array, unknowns: NDArray[np.int64], count: int, rng: np.random.Generator) -> Array:
+def draw(rows: Array, unknowns: Indices, count: int, rng: np.random.Generator) -> Array:
     """Draw particles (D, count) from the priors.
 
     Uniform priors use a low-discrepancy lattice with a random shift (the R sequence, Roberts 2018): each

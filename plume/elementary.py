@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 LOG2_E = 1.4426950408889634
 # ln 2 in two parts; a whole number below 2^20 times the first one is exact.

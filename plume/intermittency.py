@@ -10,15 +10,12 @@ c*²/(1 + k + c*²), c* the integrand's mode: the log-density is right to 0.005,
 
 import math
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
+from plume.elementary import Array
 from plume.numerics import HALF_LOG_2PI, erfc, exp, log
 from plume.parameters import GREATEST_CV
-
-Array = NDArray[np.float64]
 
 CVS, MODES = 60, 64  # cells of the table over cv from 0 to GREATEST_CV and over v from 0 to 1
 SMALLEST_CV = 0.01  # least intermittency: a hundredth of the mean is far below every noise
@@ -29,7 +26,7 @@ NODES = 600  # nodes of the integrals behind the table
 BODY, TAIL = 18, 12
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _log_moment(power: float, w: float) -> float:
     """Log of ∫ c^(power−1) exp(−w c − c²/2) dc for a power of 1 or more, by the trapezoid rule over log c."""
     root = math.sqrt(w * w + 4 * power)
@@ -107,7 +104,7 @@ CONCENTRATIONS = _concentrations()
 SHARES = np.array([0.05] * BODY + [0.05 * 0.5**cell for cell in range(TAIL - 1)] + [0.1 * 0.5 ** (TAIL - 1)])
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
     """Log-density of a reading: gas of this mean and coefficient of variation plus noise N(0, variance)."""
     cv = max(cv, SMALLEST_CV)
@@ -131,16 +128,15 @@ def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
         CORRECTIONS[row + 1, column + 1] - CORRECTIONS[row + 1, column]
     )
     correction = low + x * (high - low)
-    result: float = (
+    return float(
         k * log(ratio)
         + 0.5 * (square - t * t + log(k * inverse * inverse / total))
         + correction
         - HALF_LOG_2PI
     )
-    return result
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def distribution(gas: float, mean: float, variance: float, cv: float, tails: Array) -> float:
     """P(Z ≤ gas) of a reading: gas of this mean and coefficient of variation plus noise N(0, variance);
     right to about 0.01.

@@ -4,17 +4,17 @@ bit-identical on every machine.
 
 import math
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import numba
 import numpy as np
 from llvmlite import ir
 from numba.extending import intrinsic
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from plume.compiled import kernel
-
-Array = NDArray[np.float64]
+from plume.compiled import kernel, subroutine
+from plume.elementary import Array
 
 LOG2_E = 1.4426950408889634
 LN2_HIGH = 6.93147180369123816490e-01
@@ -70,47 +70,46 @@ def _to_polynomial(_context: Any, _x: Any, coefficients: Any) -> Any:
     return numba.float64(numba.float64, coefficients), horner
 
 
-fma: Any = intrinsic(_to_fused)  # a · b + c, rounded once; bit-identical without the instruction, too
-polynomial: Any = intrinsic(_to_polynomial)  # (x, coefficients): by Horner's rule with `fma`
-bits_of: Any = intrinsic(_to_bits)  # the 64 bits of a float as an integer
-float_of: Any = intrinsic(_to_float)  # the float with these 64 bits
+# a · b + c, rounded once; bit-identical without the instruction, too
+fma = cast(Callable[[float, float, float], float], intrinsic(_to_fused))
+# (x, coefficients): by Horner's rule with `fma`
+polynomial = cast(Callable[[float, tuple[float, ...]], float], intrinsic(_to_polynomial))
+bits_of = cast(Callable[[float], int], intrinsic(_to_bits))  # the 64 bits of a float as an integer
+float_of = cast(Callable[[int], float], intrinsic(_to_float))  # the float with these 64 bits
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def exp(x: float) -> float:
     """e^x to the last bit or two, with x clamped to ±708; a polynomial, so that loops over it vectorise."""
     x = min(max(x, -708.0), 708.0)
     shifted = fma(x, LOG2_E, ROUNDER)
     whole = shifted - ROUNDER
     r = fma(whole, -LN2_LOW, fma(whole, -LN2_HIGH, x))
-    result: float = polynomial(r, EXP) * float_of((bits_of(shifted) - ROUNDER_BITS + 1023) << 52)
-    return result
+    return polynomial(r, EXP) * float_of((bits_of(shifted) - ROUNDER_BITS + 1023) << 52)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log(x: float) -> float:
     """ln x to the last bit or two, for normal x > 0: the exponent is split off, the rest is a series of
     artanh.
     """
-    bits: int = bits_of(x)
+    bits = bits_of(x)
     exponent = (bits - SQRT_HALF_BITS) >> 52
-    f: float = float_of(bits - (exponent << 52)) - 1.0
+    f = float_of(bits - (exponent << 52)) - 1.0
     s = f / (2.0 + f)
     z = s * s
-    result: float = float(exponent) * LN2_HIGH + (s * polynomial(z, LOG) + float(exponent) * LN2_LOW)
-    return result
+    return float(exponent) * LN2_HIGH + (s * polynomial(z, LOG) + float(exponent) * LN2_LOW)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log1p(x: float) -> float:
     """ln(1 + x), for x above −1; what 1 + x rounds off is added again."""
     whole = 1.0 + x
-    result: float = log(whole) + (x - (whole - 1.0)) / whole
-    return result
+    return log(whole) + (x - (whole - 1.0)) / whole
 
 
 # Inlined by force: LLVM finds it too long, and then cannot vectorise.
-@numba.njit(error_model="numpy", forceinline=True)
+@partial(subroutine, forceinline=True)
 def erfc(x: float) -> float:
     """The complementary error function, with a relative error of at most 4e-16 (1 + x²); 0 where it is
     below 1e-307.
@@ -122,11 +121,10 @@ def erfc(x: float) -> float:
     t = 1 / (1 + 0.5 * size)
     s = 2 * t - 1
     tail = t * polynomial(s, ERFC) * exp(-size * size) if size < 26.5 else 0.0
-    result: float = tail if x >= 0 else 2.0 - tail
-    return result
+    return tail if x >= 0 else 2.0 - tail
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log_gamma(x: float) -> float:
     """ln Γ(x) for x ≥ 1, by Stirling's series from 10 on, with an error of at most 5e-15 times the greater
     of 1 and the result.
@@ -140,11 +138,10 @@ def log_gamma(x: float) -> float:
         1 / 12
         - y * (1 / 360 - y * (1 / 1260 - y * (1 / 1680 - y * (1 / 1188 - y * (691 / 360360 - y / 156)))))
     ) / x
-    result: float = (x - 0.5) * log(x) - x + HALF_LOG_2PI + series - log(product)
-    return result
+    return (x - 0.5) * log(x) - x + HALF_LOG_2PI + series - log(product)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def cosine_and_sine(angle: float) -> tuple[float, float]:
     """(cos, sin) of an angle in radians, to 4e-16 (1 + |angle|)."""
     turns = angle * (0.5 / np.pi)
@@ -152,7 +149,7 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
     return direction(turns if turns < 1.0 else 0.0)  # a small negative number of turns rounds to a whole one
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def angle_of(x: float, y: float) -> float:
     """The angle of (x, y) in radians, within ±π, to 2e-15: a rational guess, corrected by the angle
     between it and (x, y).
@@ -173,7 +170,7 @@ def angle_of(x: float, y: float) -> float:
     return angle
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def direction(turns: float) -> tuple[float, float]:
     """(cos, sin) of 2π · turns, turns in [0, 1): the quarter is split off, the rest is a series within
     ±π/4.
@@ -187,7 +184,7 @@ def direction(turns: float) -> tuple[float, float]:
     return (one, two) if quarter < 2.0 else (-one, -two)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def total_of(values: Array) -> float:
     """Sum with eight interleaved accumulators: additions need not wait for each other, and their order
     never changes.
@@ -208,7 +205,7 @@ def total_of(values: Array) -> float:
     return ((a + b) + (c + d)) + ((e + f) + (g + h))
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def dot(one: Array, other: Array) -> float:
     """Σ one · other, summed as `total_of` does."""
     a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

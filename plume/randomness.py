@@ -7,7 +7,8 @@ from functools import cache
 from hashlib import blake2b
 
 import numpy as np
-from numpy.typing import NDArray
+
+from plume.elementary import Array, Indices
 
 MAX_SEED = 2**63 - 1
 TAIL = 3.65  # beyond it NumPy's normal draws are not a product of exact numbers
@@ -49,16 +50,14 @@ class Keyed:
         return self._generator
 
 
-def uniform(
-    rng: np.random.Generator, low: NDArray[np.float64], high: NDArray[np.float64] | float
-) -> NDArray[np.float64]:
+def uniform(rng: np.random.Generator, low: Array, high: Array | float) -> Array:
     """Draw uniformly between `low`, an array, and `high`: as the generator's own method, whose rounding
     depends on the processor.
     """
     return low + (high - low) * rng.random(low.shape)
 
 
-def standard_normal(rng: np.random.Generator, size: int) -> NDArray[np.float64]:
+def standard_normal(rng: np.random.Generator, size: int) -> Array:
     """Draw N(0, 1), the 0.03% beyond ±TAIL to 9 digits: NumPy takes these from a logarithm of the C
     library.
     """
@@ -66,9 +65,7 @@ def standard_normal(rng: np.random.Generator, size: int) -> NDArray[np.float64]:
     return np.where(np.abs(drawn) > TAIL, np.rint(drawn * 2.0**30) / 2.0**30, drawn)
 
 
-def standard_gamma(
-    rng: np.random.Generator, shape: NDArray[np.float64] | float, size: int
-) -> NDArray[np.float64]:
+def standard_gamma(rng: np.random.Generator, shape: Array | float, size: int) -> Array:
     """Draw gamma variables of scale 1, float32 values: how NumPy rounds them depends on the compiler that
     built it.
     """
@@ -102,19 +99,19 @@ class Abreast:
             numbers.append(last(generator, number))
         return numbers
 
-    def standard_normal(self, _size: tuple[int, ...], /) -> NDArray[np.float64]:
+    def standard_normal(self, _size: tuple[int, ...], /) -> Array:
         """(M,) of N(0, 1)."""
         return np.array(self._drawn(lambda generator, _: generator.standard_normal()))
 
-    def random(self, _size: tuple[int, ...], /) -> NDArray[np.float64]:
+    def random(self, _size: tuple[int, ...], /) -> Array:
         """(M,) of U[0, 1)."""
         return np.array(self._drawn(lambda generator, _: generator.random()))
 
-    def standard_gamma(self, shape: float, _size: tuple[int, ...], /) -> NDArray[np.float64]:
+    def standard_gamma(self, shape: float, _size: tuple[int, ...], /) -> Array:
         """(M,) gamma variables of this shape and scale 1."""
         return np.array(self._drawn(lambda generator, _: generator.standard_gamma(shape)))
 
-    def poisson(self, lam: NDArray[np.float64], /) -> NDArray[np.int64]:
+    def poisson(self, lam: Array, /) -> Indices:
         """(M,) Poisson counts with means `lam` (M,)."""
         return np.array(self._drawn(lambda generator, number: generator.poisson(lam[number])), np.int64)
 

@@ -23,6 +23,7 @@ from agent.observation import BOUND, SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move
 from estimator.assumptions import ASSUMPTIONS
 from estimator.criterion import FORMS, USUAL_THRESHOLD_M, Criterion, chosen
+from plume.elementary import Array
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS
 from plume.worlds import AS_MODELLED, WORLDS
@@ -32,7 +33,7 @@ TRAINING_SEEDS = 900_000
 REWARDS: Mapping[str, tuple[float, float]] = {"paper": (0.0, 1.0), "cost": (-0.01, 1.0)}
 """By name: reward of each step and of the stop."""
 
-Floats = NDArray[np.float64]
+Floats = Array
 Flags = NDArray[np.bool_]
 
 

@@ -10,14 +10,12 @@ from agent.observation import FACTS, SCHEMAS
 from estimator.batch import Batch
 from estimator.criterion import Criterion
 from estimator.filter import Config
+from plume.elementary import Array, Indices
 from plume.randomness import Keyed, derived_seed
 from plume.scenario import SUCCESS_RADIUS_M, draw
 from plume.world import World, gas_of
 from plume.worlds import AS_MODELLED
 from scene.scene import Measurement, Scatter
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Facts that are means if they are unknown.
 UNKNOWN_FACTS = {"q": observation.RATE, "d": observation.DIFFUSIVITY, "tau": observation.LIFETIME}

@@ -61,8 +61,7 @@ class Onlooker:
         scene = self.scene(missions, i)
         if self._drawings[i] is None:
             self._drawings[i] = Drawing(scene, steps=min(self._budget, 30))
-        frame: Frame = self._drawings[i].show(scene).pixels()
-        return frame
+        return np.asarray(self._drawings[i].show(scene).pixels())
 
     def scene(self, missions: Missions, i: int) -> Scene:
         """Return what there is to see of mission i."""

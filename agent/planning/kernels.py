@@ -6,32 +6,28 @@ Plain IEEE arithmetic in a fixed order: bit-identical on every machine and in ev
 
 import math
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
+from plume.elementary import Array, Indices
 from plume.numerics import HALF_LOG_2PI, direction, erfc, exp, fma, log, log1p, total_of
 from plume.sensor import HITS_KIND, THRESHOLD_KIND
-
-Array = NDArray[np.float64]
 
 # Particles per block; the intermediate arrays of a block stay in the processor's first-level cache.
 BLOCK = 1024
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _variance(mean: float, noise: float, cv: float, sensor: Array) -> float:
     """Variance of a reading: the sensor's noise, times the squared factor `noise`, and the gas's own with
     this intermittency.
     """
-    result: float = (
+    return float(
         noise * noise * (sensor[1] * sensor[1] * mean * mean + sensor[2] * sensor[2]) + cv * cv * mean * mean
     )
-    return result
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _exponents(
     means: Array, noises: Array, sensor: Array, quadratic: Array, linear: Array, constant: Array
 ) -> None:
@@ -57,7 +53,7 @@ def _exponents(
             constant[i] = -0.5 * (means[i] * means[i] * inverse + log(variance)) - offset
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _silence(means: Array, noises: Array, sensor: Array, constant: Array) -> None:
     """Fill `constant` with the log-probability that a threshold sensor reads 0, under each particle."""
     for i in range(len(means)):
@@ -66,7 +62,7 @@ def _silence(means: Array, noises: Array, sensor: Array, constant: Array) -> Non
         constant[i] = log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _likelihoods(
     one: Array,
     two: Array,
@@ -90,7 +86,7 @@ def _likelihoods(
         products[i] = likelihoods[i] * exponents[i]
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _reweight(
     one: Array,
     two: Array,
@@ -132,7 +128,7 @@ def imagine(
     means: Array,
     weights: Array,
     values: Array,
-    imagined: NDArray[np.int64],
+    imagined: Indices,
     readings: Array,
     sensor: Array,
     noises: Array,

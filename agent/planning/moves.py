@@ -5,12 +5,9 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.elementary import direction
+from plume.elementary import Array, direction
 from plume.scenario import AREA_M, STEP_M
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -101,9 +98,8 @@ def _moved(positions: Array, frames: Array, turns: Array, lengths: Array, area_m
     """Return the waypoints (B, 2) of moves at angles in turns, clipped to the area; float32 values."""
     from agent.planning.kernels import displacements  # compiled: naming a policy does not need it
 
-    places: Array = (
+    return (
         np.clip(positions + displacements(frames, turns, lengths), 0.0, area_m)
         .astype(np.float32)
         .astype(np.float64)
     )
-    return places

@@ -4,19 +4,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning import kernels
 from link.bus.messages import Belief, Particles
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.elementary import Array
 from plume.intermittency import SMALLEST_CV
 from plume.kernels import mean_concentrations
 from plume.numerics import exp_each, log_each
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import standard_gamma
 from plume.sensor import Gaussian, Sensor, parse, sensor_row
-
-Array = NDArray[np.float64]
 
 CELLS_A_SPREAD = 4  # cells per spread in `entropy_spread`
 # Most cells of a grid that is counted in whole; cells beyond ±FAR count as those at ±FAR.
@@ -37,14 +35,12 @@ class Cloud:
 
     def mean(self, values: Array) -> Array:
         """Return the mean of values (..., N) of the particles: (...)."""
-        means: Array = (values * self.weights).sum(axis=-1)
-        return means
+        return np.asarray((values * self.weights).sum(axis=-1))
 
     def distances(self, places: Array) -> Array:
         """Return the distances of the particles from places (..., 2) m: (..., N) m."""
         east, north = (places[..., axis, None] - self.places[axis] for axis in (0, 1))
-        distances: Array = np.sqrt(east * east + north * north)
-        return distances
+        return np.asarray(np.sqrt(east * east + north * north))
 
     def thinned(self, most: int) -> "Cloud":
         """Return a cloud of at most `most` evenly spaced particles: planning needs fewer than estimating."""
@@ -86,8 +82,7 @@ def cloud(belief: Belief, particles: Particles) -> Cloud:
 
 def lengths(vectors: Array) -> Array:
     """Return the lengths (...) of vectors (..., 2)."""
-    result: Array = np.sqrt(np.square(vectors).sum(axis=-1))
-    return result
+    return np.asarray(np.sqrt(np.square(vectors).sum(axis=-1)))
 
 
 def _names(belief: Belief) -> tuple[str, ...]:
@@ -119,8 +114,7 @@ def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
     readings[:, :2] = places
     readings[:, 2:] = belief.altitude_m, *belief.wind
     unknowns = np.array([PARAMETERS.index(name) for name in names])
-    means: Array = mean_concentrations(hypotheses.values, unknowns, priors, readings)
-    return means
+    return mean_concentrations(hypotheses.values, unknowns, priors, readings)
 
 
 def imagine(
@@ -230,5 +224,4 @@ def variances(
     )  # offsets from the mean limit cancellation below
     values = np.vstack([offsets, np.square(offsets).sum(axis=0)])
     expected = imagine(belief, hypotheses, places, number, rng, values).expectations
-    traces: Array = np.maximum(expected[:, :, 2] - np.square(expected[:, :, :2]).sum(axis=2), 0.0)
-    return traces
+    return np.asarray(np.maximum(expected[:, :, 2] - np.square(expected[:, :, :2]).sum(axis=2), 0.0))

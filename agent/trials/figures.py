@@ -6,13 +6,12 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.criterion import Criterion
+from plume.elementary import Array
 from plume.sensor import GAUSSIAN, text
 from plume.worlds import AS_MODELLED
 
-Array = NDArray[np.float64]
 RESAMPLES = 1000
 LARGEST = 2_000_000  # values that the bootstrap draws at once, at most: a limit on memory
 # By figure: heading in tables, scale and digits.
@@ -124,8 +123,7 @@ def wilson(hits: int, of: int) -> Interval:
 
 def mean(samples: Array) -> Array:
     """Mean of each of R samples (R, n): (R,)."""
-    means: Array = samples.mean(axis=1)
-    return means
+    return np.asarray(samples.mean(axis=1))
 
 
 def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Interval:

@@ -10,15 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.elementary import Array
 from plume.numerics import angle_of, cosine_and_sine, exp
 from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario
 from plume.sensor import GAUSSIAN
-
-Array = NDArray[np.float64]
 
 LEAST_THRESHOLD_M = 0.03  # below this ζ the computation takes long, and the floor may exceed the budget
 # α² and β²: the variance of a reading is SLOPE m² + FLOOR.

@@ -4,25 +4,22 @@ uniform.
 
 import math
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.kernels.densities import Model, is_intermittent, normal_cdf
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
+from plume.elementary import Array
 from plume.intermittency import BODY, TAIL, distribution
 from plume.kernels import CVS, NOISES
 from plume.numerics import HALF_LOG_2PI, dot, exp, log, log1p, log_gamma, total_of
 from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
-
-Array = NDArray[np.float64]
 
 # Approximate number of particles, evenly spaced, for the predictive rank of a reading; fewer in intermittent
 # gas, where each takes long.
 CHECK_PARTICLES, CHECK_INTERMITTENT = 1000, 250
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _gaussian_tails(
     means: Array, noises: Array, gas: float, slope: float, floor: float, result: Array
 ) -> None:
@@ -41,7 +38,7 @@ def _gaussian_tails(
         result[i] = 1 - tail if residual > 0 else tail
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _hits_cdf(count: float, expected: float) -> float:
     """P(K ≤ count) of a Poisson count; above 100 by the Wilson–Hilferty cube-root approximation."""
     if count < 0:
@@ -57,7 +54,7 @@ def _hits_cdf(count: float, expected: float) -> float:
     return min(total, 1.0)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def predictive_rank(
     means: Array, derived: Array, weights: Array, gas: float, model: Model, chance: float
 ) -> float:

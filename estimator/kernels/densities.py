@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.elementary import Array, Indices
 from plume.intermittency import log_density
 from plume.kernels import (
     CVS,
@@ -24,12 +24,10 @@ from plume.numerics import HALF_LOG_2PI, erfc, exp, log, log1p, log_gamma
 from plume.parameters import CV, GAMMA, KNOWN, LOGNORMAL, NORMAL, TAU, D, Q, Z
 from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 
-Array = NDArray[np.float64]
-
 FUSED = 8  # readings whose densities are added together: products of 8 variances neither overflow nor vanish
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def normal_cdf(value: float) -> float:
     """P(Z ≤ value) of a standard normal variable."""
     return 0.5 * erfc(-value * math.sqrt(0.5))
@@ -38,7 +36,7 @@ def normal_cdf(value: float) -> float:
 class Model(NamedTuple):
     """What the filter assumes, as kernels take it."""
 
-    unknowns: NDArray[np.int64]  # (D,) indices into `plume.parameters.PARAMETERS`
+    unknowns: Indices  # (D,) indices into `plume.parameters.PARAMETERS`
     priors: Array  # (13, 5): kind, two numbers, and the support's ends of each parameter
     sensor: Array  # (5,): kind and numbers
 
@@ -47,14 +45,13 @@ tuple_type: Any = numba.types.NamedTuple
 MODEL = tuple_type((numba.int64[::1], numba.float64[:, ::1], numba.float64[::1]), Model)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def is_intermittent(priors: Array) -> bool:
     """True if the gas is not taken to be steady."""
-    intermittent: bool = priors[CV, 0] != KNOWN or priors[CV, 1] != 0
-    return intermittent
+    return bool(priors[CV, 0] != KNOWN or priors[CV, 1] != 0)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log_densities(means: Array, derived: Array, count: int, gas: float, model: Model, result: Array) -> None:
     """Fill `result` with the log-likelihood of a gas value for each mean, as `log_likelihood` in
     plume/sensor.py.
@@ -91,7 +88,7 @@ def log_densities(means: Array, derived: Array, count: int, gas: float, model: M
             result[i] = -0.5 * (residual * residual / variance + log(variance)) - constant
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def derived_of(count: int, model: Model) -> Array:
     """Return an array for `count` columns of `plume.kernels.derive`; empty where only the location is
     unknown, which has a faster loop.
@@ -99,7 +96,7 @@ def derived_of(count: int, model: Model) -> Array:
     return np.empty((0 if is_location_only(model.unknowns, model.priors) else DERIVED, count))
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def reading_densities(
     particles: Array, derived: Array, count: int, reading: Array, model: Model, means: Array, result: Array
 ) -> None:
@@ -115,7 +112,7 @@ def reading_densities(
     log_densities(means, derived, count, reading[5], model, result)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def is_fused(readings: Array, model: Model) -> bool:
     """True if `add_place_densities` applies: the paper's case with a Gaussian sensor, and numbers whose
     products stay in range.
@@ -130,7 +127,7 @@ def is_fused(readings: Array, model: Model) -> bool:
     return sound
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def add_place_densities(
     places: Array, count: int, readings: Array, model: Model, scratch: Array, targets: Array
 ) -> None:
@@ -171,16 +168,15 @@ def add_place_densities(
         targets[j] -= 0.5 * (numerators[j] / variances[j] + log(variances[j] / squares[j])) + constant
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def is_a_normal_density(gas: float, sensor: Array) -> bool:
     """True if the likelihood of this gas value is a density, which noise widens and so lowers; false if it
     is a probability.
     """
-    normal: bool = sensor[0] != HITS_KIND and (sensor[0] != THRESHOLD_KIND or gas != 0.0)
-    return normal
+    return sensor[0] != HITS_KIND and (sensor[0] != THRESHOLD_KIND or gas != 0.0)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def greatest_log_density(gas: float, sensor: Array, priors: Array) -> float:
     """Return an upper bound of the log-likelihood of this gas value, whatever the mean, for a noise factor
     of 1.
@@ -214,7 +210,7 @@ def log_likelihoods(particles: Array, model: Model, reading: Array) -> Array:
     return result
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log_prior(particles: Array, i: int, model: Model) -> float:
     """Log prior density of particle i up to a constant; of a log-normal parameter, the density of its
     logarithm.

@@ -1,19 +1,16 @@
 """Weights of particles: reweighting, effective sample size, moments, systematic resampling."""
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
+from plume.elementary import Array, Indices
 from plume.numerics import dot, exp, total_of
-
-Array = NDArray[np.float64]
 
 # If a reading would bring the effective sample size below this share of N, it is taken in tempered stages.
 STAGE_FLOOR = 0.4
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _greatest(values: Array) -> float:
     a, b, c, d = values[0], values[0], values[0], values[0]
     whole = len(values) - len(values) % 4
@@ -24,11 +21,10 @@ def _greatest(values: Array) -> float:
         d = max(d, values[i + 3])
     for i in range(whole, len(values)):
         a = max(a, values[i])
-    greatest: float = max(max(a, b), max(c, d))
-    return greatest
+    return float(max(max(a, b), max(c, d)))
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array) -> float:
     """Set weights ∝ exp(log_weights + share · log_densities), scaled so that the greatest is 1; returns
     the effective sample size.
@@ -42,7 +38,7 @@ def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array
     return total * total / dot(weights, weights)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def tempered_share(
     log_weights: Array, log_densities: Array, left: float, weights: Array
 ) -> tuple[float, float]:
@@ -106,7 +102,7 @@ def moments(particles: Array, weights: Array) -> tuple[Array, Array]:
     "void(float64[:, :, ::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[:, :, ::1])", nogil=True
 )
 def moments_of_missions(
-    particles: Array, weights: Array, missions: NDArray[np.int64], means: Array, covariances: Array
+    particles: Array, weights: Array, missions: Indices, means: Array, covariances: Array
 ) -> None:
     """Write the `moments` of these missions of a batch into means (B, D) and covariances (B, D, D)."""
     for b in missions:
@@ -118,7 +114,7 @@ def moments_of_missions(
 
 
 @kernel("int64[::1](float64[::1], float64)")
-def systematic(weights: Array, offset: float) -> NDArray[np.int64]:
+def systematic(weights: Array, offset: float) -> Indices:
     """Systematic resampling: returns the ancestors (N,).
 
     The cumulative weight passes (k + offset) / N at ancestor k; offset in [0, 1).

@@ -8,17 +8,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.transforms import ScaledTranslation
-from numpy.typing import NDArray
 
 from agent.policies import OURS
 from agent.trials.report.published import PUBLISHED, Published
 from agent.trials.report.results import Key, Results, Setting
+from plume.elementary import Array
 from plume.outcome import Outcome, TracePoint
 from plume.scenario import AREA_M, SUCCESS_RADIUS_M
 from scene.drawing import ESTIMATE, INK, SOURCE, START, plume, ticks
 from scene.scene import Release
 
-Array = NDArray[np.float64]
 Flight = tuple[Outcome, list[TracePoint]]
 
 WIDTH_IN = 10.0
@@ -151,13 +150,11 @@ def _panels(
 
 def _stretched(percent: Array) -> Array:
     """Stretch the scale towards 100%, where most policies are."""
-    height: Array = -np.log10(101 - np.minimum(percent, 100.9))
-    return height
+    return np.asarray(-np.log10(101 - np.minimum(percent, 100.9)))
 
 
 def _unstretched(height: Array) -> Array:
-    percent: Array = 101 - 10**-height
-    return percent
+    return 101 - 10**-height
 
 
 def trajectories(flights: Sequence[Flight]) -> Figure:
