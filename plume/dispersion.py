@@ -17,8 +17,7 @@ def concentration(
     diffusivity: ArrayLike,
     lifetime: ArrayLike,
 ) -> Array:
-    """Mean concentration m = q/(4π d r) · exp(−r/λ + ψ), Vergassola et al. 2007 eq. (S5), the paper's
-    section 2.
+    """Mean concentration m = q/(4π d r) · exp(−r/λ + ψ), Vergassola et al. 2007 eq. (S5).
 
     position, source: (..., 2) or (..., 3) m, x east, y north, z up; without z both lie in one plane.
     wind: (..., 2) = (u cos φ, u sin φ) m/s, φ the direction it comes FROM.

@@ -1,8 +1,8 @@
-"""exp, log, cos and sin of numbers and arrays by NumPy's own additions and multiplications: bit-identical
-on every machine.
+"""exp, log, cos and sin of numbers and arrays, bit-identical on every machine; and the kinds of arrays.
 
-NumPy's `exp` and the C library's differ in their last bits between processors. These need no compiler, so
-that a vehicle starts quickly; code that is compiled has quicker ones in `plume/numerics.py`.
+They consist of NumPy's own additions and multiplications. NumPy's `exp` and the C library's differ in their
+last bits between processors. These need no compiler, so that a vehicle starts quickly; code that is compiled
+has quicker ones in `plume/numerics.py`.
 """
 
 import numpy as np
@@ -37,9 +37,7 @@ def exp(x: ArrayLike) -> Array:
 
 
 def log(x: ArrayLike) -> Array:
-    """ln x to the last bit or two, for normal x > 0: the exponent is split off, the rest is a series of
-    artanh.
-    """
+    """ln x to the last bit or two, for normal x > 0: the exponent, and a series of artanh for the rest."""
     part, exponent = np.frexp(np.asarray(x, np.float64))
     small = part < SQRT_HALF
     f, exponent = np.where(small, 2 * part, part) - 1.0, exponent - small

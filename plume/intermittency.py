@@ -1,5 +1,6 @@
-"""Intermittent gas as compiled loops: the density and the distribution of a reading c + v, gas c
-gamma-distributed, noise v normal.
+"""Intermittent gas as compiled loops: the density and the distribution of a reading.
+
+A reading is c + v: the gas c is gamma-distributed, the noise v normal.
 
 With t = z/σ, μ = m/σ, shape k = 1/cv² the density of z is φ(t) (k/μ)^k / Γ(k) · ∫ c^(k−1) exp(−w c − c²/2)
 dc / σ, w = k/μ − t. Laplace's method, with the integral taken over log c, gives it up to a factor that
@@ -44,9 +45,7 @@ def _log_moment(power: float, w: float) -> float:
 
 @kernel("float64[:, ::1]()")
 def _corrections() -> Array:
-    """The table (CVS + 1, MODES + 1): logarithm of what Laplace's method leaves out, less its value at v =
-    0.
-    """
+    """The table (CVS + 1, MODES + 1): log of what Laplace's method leaves out, less its value at v = 0."""
     result = np.zeros((CVS + 1, MODES + 1))
     for row in range(1, CVS + 1):
         k = (CVS / (GREATEST_CV * row)) ** 2
@@ -69,8 +68,9 @@ def _corrections() -> Array:
 
 @kernel("float64[:, ::1]()")
 def _concentrations() -> Array:
-    """Concentrations (CVS + 1, BODY + TAIL) that stand for shares of the gas, in units of the mean:
-    medians of the shares.
+    """Concentrations (CVS + 1, BODY + TAIL) that stand for shares of the gas: the medians of the shares.
+
+    They are in units of the mean.
     """
     result = np.ones((CVS + 1, BODY + TAIL))
     nodes = 20 * NODES
@@ -138,8 +138,7 @@ def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
 
 @subroutine
 def distribution(gas: float, mean: float, variance: float, cv: float, tails: Array) -> float:
-    """P(Z ≤ gas) of a reading: gas of this mean and coefficient of variation plus noise N(0, variance);
-    right to about 0.01.
+    """P(Z ≤ gas) of a reading, as in `log_density`; right to about 0.01.
 
     tails: (BODY + TAIL,) to compute in.
     """

@@ -44,9 +44,7 @@ DERIVED = 11
 
 @subroutine
 def is_location_only(unknowns: Indices, priors: Array) -> bool:
-    """True if only x and y are unknown and the wind is measured: the paper's case, which has a faster
-    loop.
-    """
+    """True if only x and y are unknown and the wind is measured: the paper's case has a faster loop."""
     exact = priors[WIND_DIRECTION, 1] == 0 and priors[WIND_SPEED, 1] == 1 and priors[GAIN, 1] == 1
     place = len(unknowns) == 2 and unknowns[0] == X and unknowns[1] == Y
     return bool(
@@ -64,8 +62,9 @@ def is_plain(priors: Array) -> bool:
 
 @subroutine
 def location_means(particles: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
-    """Fill `means` (count,) with the concentration at the reading's place, g/m³, for sources at particles
-    (2, count); all else is known.
+    """Fill `means` (count,) with the concentration at the reading's place, g/m³.
+
+    Sources are at particles (2, count); all else is known.
     """
     diffusivity, lifetime = priors[D, 1], priors[TAU, 1]
     wind_x, wind_y = reading[3], reading[4]
@@ -109,10 +108,9 @@ def derive(particles: Array, count: int, unknowns: Indices, priors: Array, deriv
 
 @subroutine
 def derived_means(derived: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
-    """Fill `means` (count,) with the concentration at the reading's place, times the gain, g/m³, for each
-    column of `derived`.
+    """Fill `means` (count,) with the concentration at the reading's place, times the gain, g/m³.
 
-    A measured wind is taken from the reading, with each column's error.
+    Each is that of a column of `derived`. A measured wind is taken from the reading, with the column's error.
     """
     x, y, height = reading[0], reading[1], reading[2]
     speed = math.sqrt(reading[3] * reading[3] + reading[4] * reading[4])

@@ -1,5 +1,6 @@
-"""exp, log, cos and sin, erfc, log-gamma, sums as compiled loops use them: plain IEEE arithmetic,
-bit-identical on every machine.
+"""exp, log, cos and sin, erfc, log-gamma and sums as compiled loops use them.
+
+Plain IEEE arithmetic: bit-identical on every machine.
 """
 
 import math
@@ -90,9 +91,7 @@ def exp(x: float) -> float:
 
 @subroutine
 def log(x: float) -> float:
-    """ln x to the last bit or two, for normal x > 0: the exponent is split off, the rest is a series of
-    artanh.
-    """
+    """ln x to the last bit or two, for normal x > 0: the exponent, and a series of artanh for the rest."""
     bits = bits_of(x)
     exponent = (bits - SQRT_HALF_BITS) >> 52
     f = float_of(bits - (exponent << 52)) - 1.0
@@ -111,8 +110,7 @@ def log1p(x: float) -> float:
 # Inlined by force: LLVM finds it too long, and then cannot vectorise.
 @partial(subroutine, forceinline=True)
 def erfc(x: float) -> float:
-    """The complementary error function, with a relative error of at most 4e-16 (1 + x²); 0 where it is
-    below 1e-307.
+    """The complementary error function, to a relative error of 4e-16 (1 + x²); 0 where it is below 1e-307.
 
     erfc(x) exp(x²) (1 + x/2) is a polynomial of degree 27 in (1 − x/2)/(1 + x/2) for x ≥ 0, from its
     Chebyshev series.
@@ -126,8 +124,9 @@ def erfc(x: float) -> float:
 
 @subroutine
 def log_gamma(x: float) -> float:
-    """ln Γ(x) for x ≥ 1, by Stirling's series from 10 on, with an error of at most 5e-15 times the greater
-    of 1 and the result.
+    """ln Γ(x) for x ≥ 1, by Stirling's series from 10 on.
+
+    The error is at most 5e-15 times the greater of 1 and the result.
     """
     product = 1.0
     while x < 10.0:
@@ -151,8 +150,9 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
 
 @subroutine
 def angle_of(x: float, y: float) -> float:
-    """The angle of (x, y) in radians, within ±π, to 2e-15: a rational guess, corrected by the angle
-    between it and (x, y).
+    """The angle of (x, y) in radians, within ±π, to 2e-15.
+
+    A rational guess is corrected by the angle between it and (x, y).
     """
     larger = max(abs(x), abs(y))
     if larger == 0.0:
@@ -172,9 +172,7 @@ def angle_of(x: float, y: float) -> float:
 
 @subroutine
 def direction(turns: float) -> tuple[float, float]:
-    """(cos, sin) of 2π · turns, turns in [0, 1): the quarter is split off, the rest is a series within
-    ±π/4.
-    """
+    """(cos, sin) of 2π · turns, turns in [0, 1): the quarter, and a series within ±π/4 for the rest."""
     quarter = float(int(4 * turns))
     x = (4 * turns - quarter - 0.5) * (np.pi / 2)
     z = x * x
@@ -186,8 +184,9 @@ def direction(turns: float) -> tuple[float, float]:
 
 @subroutine
 def total_of(values: Array) -> float:
-    """Sum with eight interleaved accumulators: additions need not wait for each other, and their order
-    never changes.
+    """Sum with eight interleaved accumulators, in an order that never changes.
+
+    Additions need not wait for each other.
     """
     a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     whole = len(values) - len(values) % 8
@@ -248,16 +247,7 @@ def _each(kernel_in_place: Callable[[Array], None], values: ArrayLike) -> Array:
     return result
 
 
-def exp_each(values: ArrayLike) -> Array:
-    """`exp` of each number, for code that is not compiled; same shape."""
-    return _each(_exponentiate, values)
-
-
-def log_each(values: ArrayLike) -> Array:
-    """`log` of each number, for code that is not compiled; same shape."""
-    return _each(_take_logs, values)
-
-
-def erfc_each(values: ArrayLike) -> Array:
-    """`erfc` of each number, for code that is not compiled; same shape."""
-    return _each(_take_erfcs, values)
+# `exp`, `log` and `erfc` of each number, for code that is not compiled; same shape.
+exp_each = partial(_each, _exponentiate)
+log_each = partial(_each, _take_logs)
+erfc_each = partial(_each, _take_erfcs)

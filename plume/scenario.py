@@ -17,9 +17,7 @@ STEP_M = 1.0
 BUDGET_STEPS = 300
 """Most moves of a mission; the paper states no budget."""
 SUCCESS_RADIUS_M = 1.0
-"""A stop counts as located if the estimate is within this distance of the source, m; the paper states
-none.
-"""
+"""A stop counts as located if the estimate is this close to the source, m; the paper states none."""
 LIFETIME_S = 10.0
 """τ, s. Table 1 states none; the paper's illustration has 10 s."""
 
