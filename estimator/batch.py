@@ -74,8 +74,9 @@ class Batch:
         return self._samples.weights
 
     def assimilate(self, readings: Array, missions: Indices | None = None) -> None:
-        """Assimilate one reading for each of these missions (M,), by default all. readings: (M, 7), rows
-        as of `Config.row`.
+        """Assimilate one reading for each of these missions (M,), by default all.
+
+        readings: (M, 7), rows as of `Config.row`.
         """
         missions = np.arange(len(self.counts)) if missions is None else missions
         if self.counts[missions].max() == self._readings.shape[1]:
@@ -114,23 +115,18 @@ class Batch:
 
     def may_claim(self, mission: int) -> bool:
         """True if the mission may claim a find, as by `estimator.belief.may_claim`."""
-        said, config = self._view(mission), self._configs[mission]
-        better = evidence(said.particles, said.weights, said.log_targets, said.readings, config)
-        return may_claim(fit(said.readings, said.ranks, config), better, len(said.readings))
+        said, config = self.posterior(mission), self._configs[mission]
+        return may_claim(fit(said, config), evidence(said, config), len(said.readings))
 
     def has_ceased(self, mission: int) -> bool:
         """Whether the mission's belief has ceased, as by `estimator.belief.belief`."""
-        said, config, covariance = self._view(mission), self._configs[mission], self.covariances[mission]
-        spread, means = math.sqrt(covariance[0, 0] + covariance[1, 1]), self.means[mission]
-        located = locates(spread, said.particles, said.weights, means, said.ranks, config)
+        config, covariance = self._configs[mission], self.covariances[mission]
+        spread = math.sqrt(covariance[0, 0] + covariance[1, 1])
+        located = locates(self.posterior(mission), spread, self.means[mission], config)
         stds = dict(zip(config.unknowns, np.sqrt(covariance.diagonal()).tolist(), strict=True))
         return sure_enough(located, stds, config) and self.may_claim(mission)
 
     def posterior(self, mission: int) -> Posterior:
-        """Return a copy of one mission's posterior."""
-        return Posterior(*(array.copy() for array in vars(self._view(mission)).values()))
-
-    def _view(self, mission: int) -> Posterior:
-        """Return a mission's posterior, which changes with the batch."""
+        """Return one mission's posterior, which changes with the batch."""
         count, sample = self.counts[mission], WeightedSample(*(stacked[mission] for stacked in self._samples))
         return Posterior(*sample, self._readings[mission, :count], self._ranks[mission, :count])

@@ -48,9 +48,11 @@ class Config:
     area_m: float = AREA_M
     """Side of the square search area, m."""
     priors: Mapping[str, Prior] = field(default_factory=dict)
-    """Priors by name of `PARAMETERS`, which replace those of `assume` one by one. x and y are uniform over
-    the area by default. Without a prior, the source's height z is the flight height, and wind speed u and
-    direction φ are those measured. With a prior, the measured value is ignored."""
+    """Priors by name of `PARAMETERS`, which replace those of `assume` one by one.
+
+    x and y are uniform over the area by default. Without a prior, the source's height z is the flight height,
+    and wind speed u and direction φ are those measured. With a prior, the measured value is ignored.
+    """
     sensor: Sensor = GAUSSIAN
     stop_on_location: bool = True
     """True if a stop requires the location to be known: the spread below ζ, or `within`."""
@@ -59,9 +61,7 @@ class Config:
     assume: str = "paper"
     """What is taken to be known: a name of `estimator.assumptions.ASSUMPTIONS`."""
     within: tuple[float, float] | None = None
-    """(R, P): the search stops when at least the share P of the belief lies within R metres of the
-    estimate, whatever ζ.
-    """
+    """(R, P): the search stops when at least the share P of the belief lies within R m of the estimate."""
 
     def __post_init__(self) -> None:
         """Refuse bad assumptions, sensors, priors and limits."""
@@ -130,9 +130,7 @@ class Config:
 
     @property
     def intermittent(self) -> bool:
-        """True if the gas is not taken to be steady, as `estimator.kernels.densities.is_intermittent`,
-        without compiling it.
-        """
+        """True if the gas is not taken to be steady: as the kernels' `is_intermittent`, not compiled."""
         kind, value = self.prior_rows[CV, :2].tolist()
         return bool(kind != KNOWN or value != 0)
 
@@ -166,11 +164,13 @@ class Posterior:
     log_targets: Array
     """(N,) log posterior density given all readings so far, up to a constant, at each particle."""
     readings: Array
-    """(T, 7): x, y, height, wind_x, wind_y, gas, share. The share is the exponent of the reading's
-    likelihood. It is below 1 if the reading was too improbable to be assimilated in full."""
-    ranks: Array
-    """(T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right.
+    """(T, 7): x, y, height, wind_x, wind_y, gas, share.
+
+    The share is the exponent of the reading's likelihood. It is below 1 if the reading was too improbable to
+    be assimilated in full.
     """
+    ranks: Array
+    """(T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right."""
 
     @property
     def sample(self) -> WeightedSample:
@@ -179,8 +179,7 @@ class Posterior:
 
 
 def prior(config: Config) -> Posterior:
-    """Return the belief before any reading: N particles of equal weight, drawn from the priors of
-    `config`.
+    """Return the belief before any reading: N particles of equal weight, drawn from the priors.
 
     Example:
         `prior(Config(particles=500)).particles.shape` is (2, 500): a row for each unknown, x and y in
@@ -193,11 +192,10 @@ def prior(config: Config) -> Posterior:
 
 
 def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Posterior:
-    """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move
-    (`estimator.kernels.update`).
+    """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move.
 
-    A function of its arguments alone: the same readings in the same order give the same particles.
-    `posterior` is not changed.
+    `estimator.kernels.update` does it. A function of its arguments alone: the same readings in the same order
+    give the same particles. `posterior` is not changed.
 
     Example:
         ```python

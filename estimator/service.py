@@ -10,7 +10,6 @@ from link.bus.mavlink import BadFrame, sender, unpack_reading
 from link.bus.messages import Belief, pack_particles
 from link.bus.session import Arrival, Bus
 from link.bus.tally import REPEATED
-from plume.sensor import text
 
 
 def run(bus: Bus, config: Config, system: int | None) -> None:
@@ -61,9 +60,7 @@ def run(bus: Bus, config: Config, system: int | None) -> None:
 
 
 def _judge(bus: Bus, said: Belief, config: Config) -> None:
-    """Warn while no stop would be honest: once for each reason in the log, and in health as long as it
-    lasts.
-    """
+    """Warn while no stop would be honest: once a reason in the log, and in health as long as it lasts."""
     found = warning(said, config)
     if found is None:
         bus.tally.warnings = ()
@@ -84,5 +81,5 @@ def _begin(bus: Bus, config: Config) -> None:
         f"ready: {bus.tally.about}; unknown {' '.join(config.unknowns)}; "
         f"told q {config.rate:g} g/s, d {config.diffusivity:g} m²/s, tau {config.lifetime:g} s; "
         "sensor "
-        f"{text(config.sensor)}{', for which intermittency of the gas is not modelled' if steady else ''}"
+        f"{config.sensor_text}{', for which intermittency of the gas is not modelled' if steady else ''}"
     )

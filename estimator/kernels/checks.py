@@ -1,6 +1,4 @@
-"""Model check: ranks of readings in their predictive distributions, and a test that these ranks are
-uniform.
-"""
+"""Model check: ranks of readings in their predictive distributions, and a test that they are uniform."""
 
 import math
 
@@ -23,8 +21,9 @@ CHECK_PARTICLES, CHECK_INTERMITTENT = 1000, 250
 def _gaussian_tails(
     means: Array, noises: Array, gas: float, slope: float, floor: float, result: Array
 ) -> None:
-    """Fill `result` with P(Z ≤ gas) for each mean and squared noise factor, accurate to 1.5e-7 (Abramowitz
-    and Stegun 7.1.26).
+    """Fill `result` with P(Z ≤ gas) for each mean and squared noise factor.
+
+    It is accurate to 1.5e-7 (Abramowitz and Stegun 7.1.26).
     """
     for i in range(len(means)):
         residual = gas - means[i]
@@ -58,9 +57,9 @@ def _hits_cdf(count: float, expected: float) -> float:
 def predictive_rank(
     means: Array, derived: Array, weights: Array, gas: float, model: Model, chance: float
 ) -> float:
-    """Return the rank of a reading in its predictive distribution: uniform in (0, 1) if the model is right
-    (Dawid 1984).
+    """Return the rank of a reading in its predictive distribution (Dawid 1984).
 
+    It is uniform in (0, 1) if the model is right.
     means, weights: (N,) of the particles before the reading.  derived: their columns of
     `plume.kernels.derive`, or empty.
     chance: a uniform draw in (0, 1) that breaks ties of discrete readings.
@@ -99,8 +98,7 @@ def predictive_rank(
 
 @kernel("float64(float64[:, ::1], float64[::1])")
 def log_likelihood_of_one_value(readings: Array, sensor: Array) -> float:
-    """Greatest log-likelihood of readings (T, 7) by a sensor that shows one value plus noise, wherever it
-    is.
+    """Greatest log-likelihood of readings (T, 7) by a sensor that shows one value plus noise.
 
     For hits: by one that counts with one mean. A threshold sensor shows 0 with one probability, and else
     one value plus noise.
@@ -125,8 +123,9 @@ def log_likelihood_of_one_value(readings: Array, sensor: Array) -> float:
 
 @kernel("float64(float64[::1])")
 def uniformity_p_value(ranks: Array) -> float:
-    """p-value of the Anderson–Darling test that ranks (n,), n ≥ 8, are uniform in (0, 1) (Marsaglia and
-    Marsaglia 2004).
+    """p-value of the Anderson–Darling test that ranks (n,), n ≥ 8, are uniform in (0, 1).
+
+    As in Marsaglia and Marsaglia 2004.
     """
     count = len(ranks)
     ordered = np.sort(ranks)

@@ -53,8 +53,7 @@ def is_intermittent(priors: Array) -> bool:
 
 @subroutine
 def log_densities(means: Array, derived: Array, count: int, gas: float, model: Model, result: Array) -> None:
-    """Fill `result` with the log-likelihood of a gas value for each mean, as `log_likelihood` in
-    plume/sensor.py.
+    """Fill `result` with the log-likelihood of a gas value for each mean, as plume/sensor.py defines it.
 
     derived: as of `reading_densities`, for the noise and the gas's intermittency where they are unknown.
     """
@@ -90,8 +89,9 @@ def log_densities(means: Array, derived: Array, count: int, gas: float, model: M
 
 @subroutine
 def derived_of(count: int, model: Model) -> Array:
-    """Return an array for `count` columns of `plume.kernels.derive`; empty where only the location is
-    unknown, which has a faster loop.
+    """Return an array for `count` columns of `plume.kernels.derive`.
+
+    It is empty where only the location is unknown, which has a faster loop.
     """
     return np.empty((0 if is_location_only(model.unknowns, model.priors) else DERIVED, count))
 
@@ -100,8 +100,7 @@ def derived_of(count: int, model: Model) -> Array:
 def reading_densities(
     particles: Array, derived: Array, count: int, reading: Array, model: Model, means: Array, result: Array
 ) -> None:
-    """Fill `means` and `result` (count,) with the concentration and the log-likelihood of one reading
-    under each particle.
+    """Fill `means` and `result` (count,): concentration and log-likelihood of a reading by particle.
 
     derived: columns that `derive` filled; empty if only the location is unknown.
     """
@@ -114,8 +113,9 @@ def reading_densities(
 
 @subroutine
 def is_fused(readings: Array, model: Model) -> bool:
-    """True if `add_place_densities` applies: the paper's case with a Gaussian sensor, and numbers whose
-    products stay in range.
+    """True if `add_place_densities` applies.
+
+    It does in the paper's case with a Gaussian sensor, for numbers whose products stay in range.
     """
     priors, sensor = model.priors, model.sensor
     if sensor[0] != GAUSSIAN_KIND or not is_location_only(model.unknowns, priors):
@@ -131,8 +131,7 @@ def is_fused(readings: Array, model: Model) -> bool:
 def add_place_densities(
     places: Array, count: int, readings: Array, model: Model, scratch: Array, targets: Array
 ) -> None:
-    """Add the log-likelihoods of readings (1 to FUSED, 7), the last first, to the targets of sources at
-    places (2, count).
+    """Add the log-likelihoods of readings (1 to FUSED, 7), the last first, to targets of places (2, count).
 
     The same as `reading_densities` in the paper's case, with one division and one logarithm for all of
     them: of each reading, the square of the residual and the variance, both times the squared distance,
@@ -170,16 +169,13 @@ def add_place_densities(
 
 @subroutine
 def is_a_normal_density(gas: float, sensor: Array) -> bool:
-    """True if the likelihood of this gas value is a density, which noise widens and so lowers; false if it
-    is a probability.
-    """
+    """True if this gas value has a density, which noise widens and so lowers; false if a probability."""
     return sensor[0] != HITS_KIND and (sensor[0] != THRESHOLD_KIND or gas != 0.0)
 
 
 @subroutine
 def greatest_log_density(gas: float, sensor: Array, priors: Array) -> float:
-    """Return an upper bound of the log-likelihood of this gas value, whatever the mean, for a noise factor
-    of 1.
+    """Return an upper bound of the log-likelihood of a gas value, whatever the mean, for a noise factor of 1.
 
     If the gas is steady and the noise known, the bound falls with the reading: a strong reading needs a
     large mean, and a large mean has much noise.
@@ -212,9 +208,7 @@ def log_likelihoods(particles: Array, model: Model, reading: Array) -> Array:
 
 @subroutine
 def log_prior(particles: Array, i: int, model: Model) -> float:
-    """Log prior density of particle i up to a constant; of a log-normal parameter, the density of its
-    logarithm.
-    """
+    """Log prior density of particle i up to a constant; of a log-normal parameter, that of its logarithm."""
     total = 0.0
     for row in range(len(model.unknowns)):
         index, value = model.unknowns[row], particles[row, i]

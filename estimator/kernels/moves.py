@@ -99,8 +99,7 @@ def _propose_steps(
 
 @subroutine
 def _propose_places(particles: Array, key: np.uint64, proposals: Array, needed: Array) -> None:
-    """Fill `proposals` (2, N) with places that do not depend on the particles': Student's t with their mean
-    and covariance.
+    """Fill `proposals` (2, N) with independent places: Student's t with the particles' mean and covariance.
 
     A posterior that is close to normal accepts most of them. `needed` takes in the ratio of the proposal's
     densities.
@@ -139,9 +138,7 @@ def _refuse_outside(proposals: Array, model: Model, needed: Array) -> None:
 
 @subroutine
 def _bounds(readings: Array, model: Model) -> Array:
-    """Return (2, T): the greatest log-likelihood of all readings before each, and the sum of the shares of
-    those that have noise.
-    """
+    """Return (2, T): of all readings before each, the greatest log-likelihood and the sum of noisy shares."""
     bounds = np.zeros((2, len(readings)))
     for t in range(len(readings) - 1):
         gas, share = readings[t, 5], readings[t, 6]
@@ -152,8 +149,9 @@ def _bounds(readings: Array, model: Model) -> Array:
 
 @subroutine
 def _keep_possible(block: Block, alive: int, possible: Array) -> int:
-    """Bring to the front those of the first `alive` proposals whose `possible` is not negative; returns how
-    many.
+    """Bring to the front those of the first `alive` proposals whose `possible` is not negative.
+
+    Returns how many.
     """
     particles, derived, targets, needed, owners, _ = block
     keepers, kept = np.empty(alive, np.int64), 0
@@ -173,12 +171,11 @@ def _keep_possible(block: Block, alive: int, possible: Array) -> int:
 
 @subroutine
 def _judge(block: Block, alive: int, readings: Array, bounds: Array, model: Model, fused: bool) -> int:
-    """Add the log-likelihood of all readings to the targets of the first `alive` proposals; returns how
-    many are accepted, now in front.
+    """Add the log-likelihood of all readings to the targets of the first `alive` proposals.
 
-    Readings are evaluated newest first, since the newest is the most likely to reject. A proposal is given
-    up early if it cannot reach `needed` even with the best possible likelihood of the remaining readings
-    (`_bounds`). This changes no decision.
+    Returns how many are accepted, now in front. Readings are evaluated newest first, since the newest is the
+    most likely to reject. A proposal is given up early if it cannot reach `needed` even with the best
+    possible likelihood of the remaining readings (`_bounds`). This changes no decision.
     """
     particles, derived, targets, needed, _, scratch = block
     means, densities, log_noises, possible = scratch[0], scratch[1], scratch[2], scratch[3]
@@ -212,8 +209,9 @@ def _judge(block: Block, alive: int, readings: Array, bounds: Array, model: Mode
 def _accept(
     particles: Array, log_targets: Array, proposals: Array, needed: Array, readings: Array, model: Model
 ) -> int:
-    """Move each particle to its proposal (D, N) if that one's log target reaches `needed`; returns how many
-    moved.
+    """Move each particle to its proposal (D, N) if that one's log target reaches `needed`.
+
+    Returns how many moved.
     """
     rows, count = particles.shape
     bounds, fused = _bounds(readings, model), is_fused(readings, model)
@@ -248,13 +246,12 @@ def _accept(
 def move(
     particles: Array, log_targets: Array, readings: Array, model: Model, sweeps: int, seed: int, stage: int
 ) -> int:
-    """Move the particles (D, N) by Metropolis–Hastings sweeps, which leave the posterior given all readings
-    (T, 7) invariant.
+    """Move the particles (D, N) by Metropolis–Hastings sweeps.
 
-    They end when ENOUGH moves have been accepted, or after `sweeps`. Random numbers are keyed by the seed,
-    the number of readings and the stage.
-    log_targets: (N,) log posterior density of each particle up to a constant.  Returns the number of
-    accepted moves.
+    They leave the posterior given all readings (T, 7) invariant. They end when ENOUGH moves have been
+    accepted, or after `sweeps`. Random numbers are keyed by the seed, the number of readings and the stage.
+    log_targets: (N,) log posterior density of each particle up to a constant.  Returns the number of accepted
+    moves.
     """
     rows, count = particles.shape
     step, unknowns = len(readings) - 1, model.unknowns

@@ -110,8 +110,9 @@ def update_missions(
     sweeps: int,
     missions: Indices,
 ) -> None:
-    """Apply `update` to each of these missions of a batch, with its first `counts` readings; arrays as in
-    `update`, stacked, but for the unknowns, which all share.
+    """Apply `update` to each of these missions of a batch, with its first `counts` readings.
+
+    Arrays are as in `update`, stacked, but for the unknowns, which all share.
     """
     particles, log_weights, weights, log_targets = samples
     unknowns, priors, sensors = models

@@ -26,8 +26,9 @@ def _greatest(values: Array) -> float:
 
 @subroutine
 def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array) -> float:
-    """Set weights ∝ exp(log_weights + share · log_densities), scaled so that the greatest is 1; returns
-    the effective sample size.
+    """Set weights ∝ exp(log_weights + share · log_densities), scaled so that the greatest is 1.
+
+    Returns the effective sample size.
     """
     for i in range(len(weights)):
         weights[i] = log_weights[i] + share * log_densities[i]
@@ -42,11 +43,10 @@ def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array
 def tempered_share(
     log_weights: Array, log_densities: Array, left: float, weights: Array
 ) -> tuple[float, float]:
-    """Return the exponent for the next stage and the effective sample size that it leaves; sets the
-    weights accordingly.
+    """Return the exponent for the next stage and the effective sample size that it leaves.
 
-    It is `left` if that leaves at least STAGE_FLOOR · N effective particles. Otherwise bisection finds one
-    that leaves 1 to 1.2 times that.
+    The weights are set accordingly. The exponent is `left` if that leaves at least STAGE_FLOOR · N effective
+    particles. Otherwise bisection finds one that leaves 1 to 1.2 times that.
     """
     floor = STAGE_FLOOR * len(weights)
     size = weigh(log_weights, left, log_densities, weights)
