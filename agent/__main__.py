@@ -146,6 +146,9 @@ def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> i
         if args.command in OTHERS:
             return int(_module(args.command).run(args))
         (_rollout if args.command == "rollout" else _serve)(args)
+    except cli.BadInput as error:
+        print(f"error: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
     except PolicyError as error:
         if error.__cause__:
             traceback.print_exception(error.__cause__)

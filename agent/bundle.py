@@ -146,9 +146,8 @@ def read(path: Path) -> tuple[Page, bytes]:
     except Exception as error:  # the exceptions of zipfile and zlib on a broken file have no common base
         raise BundleError(f"not a bundle: {_line(error)}; wanted a zip file of {PAGE} and {GRAPH}") from error
     try:
-        version = msgspec.json.decode(
-            page, type=_Format
-        ).format  # checked first: another format may explain why the rest does not fit
+        # Checked first: another format may explain why the rest does not fit.
+        version = msgspec.json.decode(page, type=_Format).format
         if version != FORMAT:
             raise BundleError(f"bundle format {version}; wanted {FORMAT}")
         return msgspec.json.decode(page, type=Page), graph
@@ -165,10 +164,9 @@ def _member(file: zipfile.ZipFile, name: str) -> bytes:
     most = MOST_PAGE_BYTES if name == PAGE else MOST_BYTES
     if info.file_size > most:
         raise BundleError(f"{name} is larger than {most >> 20} MiB")
+    # Without a size, a member that is larger than it claims would be unpacked in full.
     with file.open(info) as member:
-        return member.read(
-            info.file_size
-        )  # without a size, a member that is larger than it claims would be unpacked in full
+        return member.read(info.file_size)
 
 
 def load(path: Path) -> Bundle:

@@ -1,5 +1,6 @@
-"""The graphs that a bundle may hold, read from ONNX: what `train` exports and no more, so that a decision
-takes bounded time and memory.
+"""The graphs that a bundle may hold, read from ONNX: what `train` exports and no more.
+
+So a decision takes bounded time and memory.
 """
 
 import math
@@ -14,13 +15,13 @@ from numpy.typing import NDArray
 from agent.network import Layer
 
 Array = NDArray[np.float32]
+Field = descriptor_pb2.FieldDescriptorProto
 OPERATORS = ("Gemm", "Relu", "Tanh")
 MOST_NODES = 100
 # Most multiplications of one decision; those of the shipped policies need 120,000. A weight counts each time
 # that it is used.
 MOST_WORK = 2**24
 
-_INT, _STRING, _BYTES, _MESSAGE, _FLOAT = 3, 9, 12, 11, 2
 # The part of ONNX's format (onnx.proto) that is read: name, number and type of each field; * is repeated.
 # Parts that are not looked into are bytes, and all other fields are dropped.
 _FIELDS = {
@@ -48,13 +49,13 @@ class GraphError(ValueError):
 
 def _model() -> Any:
     file = descriptor_pb2.FileDescriptorProto(name="policy.proto", package="policy", syntax="proto2")
-    plain = {"i": _INT, "s": _STRING, "b": _BYTES, "f": _FLOAT}
+    plain = {"i": Field.TYPE_INT64, "s": Field.TYPE_STRING, "b": Field.TYPE_BYTES, "f": Field.TYPE_FLOAT}
     for message, fields in _FIELDS.items():
         made = file.message_type.add(name=message)
         for name, number, kind in (field.split(":") for field in fields.split()):
             field = made.field.add(name=name, number=int(number), label=3 if kind.endswith("*") else 1)
             kind = kind.rstrip("*")
-            field.type = plain.get(kind, _MESSAGE)
+            field.type = plain.get(kind, Field.TYPE_MESSAGE)
             if kind not in plain:
                 field.type_name = f".policy.{kind}"
             elif kind in "if" and field.label == 3:

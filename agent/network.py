@@ -1,5 +1,6 @@
-"""The network of a learned policy, evaluated in a fixed order: bit-identical on every machine, unlike an
-inference engine.
+"""The network of a learned policy, evaluated in a fixed order.
+
+It is bit-identical on every machine, unlike an inference engine.
 """
 
 from collections.abc import Sequence

@@ -1,5 +1,4 @@
-"""The observations of learned policies, by schema: the same functions serve the env, many missions at
-once, and the flight.
+"""The observations of learned policies, by schema: one arithmetic for the env, many missions and flight.
 
 `paper` (version 1, 5 numbers, in the world's frame): position (x, y), reading and estimate (x, y), as in
 the paper.
@@ -66,8 +65,8 @@ HEADINGS = 16
 OUTSIDE = 0.05  # factor on the weights of particles outside the square in which sources are drawn
 FEW = 128  # number of particles for the information gains, drawn by systematic resampling
 NUMBERS = 24  # numbers of a polar observation after the cells and the headings
-POLAR = CELLS + HEADINGS * len(AHEAD_M) + NUMBERS
-PAPER = 5
+POLAR_SIZE = CELLS + HEADINGS * len(AHEAD_M) + NUMBERS
+PAPER_SIZE = 5
 # Numbers computed from FACTS are clipped to ±BOUND; only worlds unlike any in training exceed it.
 BOUND = 10.0
 
@@ -75,74 +74,6 @@ STEEPNESS = GAUSSIAN.sensor_noise / GAUSSIAN.environment_noise  # α/β
 INVERSE_NOISE_SQUARED = 1 / (GAUSSIAN.sensor_noise * GAUSSIAN.sensor_noise)  # 1/α²
 TANGENTS = np.divide(*reversed(elementary.direction(np.array([1, 3, 5, 7]) / 32)))
 COSINES, SINES = elementary.direction(np.arange(HEADINGS) / HEADINGS)
-
-
-@subroutine
-def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `frame` and `result` (PAPER,): lengths as shares of the area's side, and the reading z as
-    sign(z) log(1 + |z|).
-    """
-    frame[0], frame[1], frame[2] = 1.0, 0.0, 1.0
-    gas = facts[GAS]
-    numbers = (
-        facts[X] / AREA_M,
-        facts[Y] / AREA_M,
-        math.copysign(log1p(abs(gas)), gas),
-        facts[MEAN_X] / AREA_M,
-        facts[MEAN_Y] / AREA_M,
-    )
-    for k in range(PAPER):
-        result[k] = min(max(numbers[k], -BOUND), BOUND)
-
-
-@subroutine
-def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `frame` and `result` (POLAR,) from particles (N,) and facts (13,). The weights are overwritten."""
-    inside, off, spread, xx, xy = _frame(x, y, weights, facts, frame)
-    _fill_cells(x, y, weights, facts, frame, result[:CELLS])
-    _fill_gains(x, y, weights, facts, frame, result[CELLS : POLAR - NUMBERS])
-    px, py = facts[X], facts[Y]
-    c, s, mirror = frame
-    speed = math.sqrt(facts[WIND_X] * facts[WIND_X] + facts[WIND_Y] * facts[WIND_Y])
-    diffusivity = facts[DIFFUSIVITY]
-    wind_x, wind_y = c * facts[WIND_X] + s * facts[WIND_Y], mirror * (c * facts[WIND_Y] - s * facts[WIND_X])
-    length = 1 / math.sqrt(
-        1 / (diffusivity * facts[LIFETIME]) + speed * speed / (4 * diffusivity * diffusivity)
-    )
-    said = math.sqrt(facts[XX] + facts[YY])
-    middle = 0.5 * (SOURCE_LOW_M + SOURCE_HIGH_M)
-    to_x, to_y = middle - px, middle - py
-    # Mirroring at the diagonal maps the area onto itself, so a mirrored frame becomes a plain one if x and y
-    # are swapped.
-    plain = mirror > 0
-    numbers = (
-        off / 15,
-        log(off + 0.1) / 3,
-        log(said + 0.05) / 3,
-        said / 8,
-        log(spread + 0.05) / 3,
-        spread / 8,
-        2 * xx - 1,
-        2 * xy,
-        wind_x / 4,
-        wind_y / 4,
-        wind_x / max(speed, 1e-9),
-        wind_y / max(speed, 1e-9),
-        speed / (2 * diffusivity),
-        log(diffusivity) / 2,
-        length / 10,
-        log(length),
-        log(facts[RATE] / (4 * math.pi * diffusivity)) / 3,
-        (c * to_x + s * to_y) / 15,
-        mirror * (c * to_y - s * to_x) / 15,
-        c if plain else s,
-        s if plain else c,
-        (px if plain else py) / AREA_M,
-        (py if plain else px) / AREA_M,
-        log(inside + 1e-3) / 3,
-    )
-    for k in range(NUMBERS):
-        result[POLAR - NUMBERS + k] = min(max(numbers[k], -BOUND), BOUND)
 
 
 @subroutine
@@ -186,8 +117,9 @@ def _frame(
 
 @subroutine
 def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `result` (CELLS,) with 2 √mass of each sector, ring after ring; the first sector is centred on
-    the frame's x axis.
+    """Fill `result` (CELLS,) with 2 √mass of each sector, ring after ring.
+
+    The first sector is centred on the frame's x axis.
     """
     c, s, mirror = frame
     squares = RINGS_M * RINGS_M
@@ -213,9 +145,7 @@ def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
 
 @subroutine
 def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `result` with the approximate information gain of a reading in each heading, nats, first for
-    AHEAD_M[0], then AHEAD_M[1].
-    """
+    """Fill `result` with the approximate information gain of a reading, nats, by AHEAD_M and heading."""
     few_x, few_y = np.empty(FEW), np.empty(FEW)
     last, mass = 0, weights[0]
     for k in range(FEW):
@@ -256,21 +186,78 @@ SEE_MISSIONS = (
 )
 
 
-@kernel(SEE_ALONE)
-def _see_paper(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    _paper(x, y, weights, facts, frame, result)
+@kernel(SEE_ALONE, error_model="numpy")
+def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+    """Fill `frame` and `result` (PAPER_SIZE,).
+
+    Lengths are shares of the area's side, and the reading z is sign(z) log(1 + |z|).
+    """
+    frame[0], frame[1], frame[2] = 1.0, 0.0, 1.0
+    gas = facts[GAS]
+    numbers = (
+        facts[X] / AREA_M,
+        facts[Y] / AREA_M,
+        math.copysign(log1p(abs(gas)), gas),
+        facts[MEAN_X] / AREA_M,
+        facts[MEAN_Y] / AREA_M,
+    )
+    for k in range(PAPER_SIZE):
+        result[k] = min(max(numbers[k], -BOUND), BOUND)
 
 
-@kernel(SEE_ALONE)
-def _see_polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    _polar(x, y, weights, facts, frame, result)
+@kernel(SEE_ALONE, error_model="numpy")
+def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+    """Fill `frame` and `result` (POLAR_SIZE,) from particles (N,), whose weights change, and facts (13,)."""
+    inside, off, spread, xx, xy = _frame(x, y, weights, facts, frame)
+    _fill_cells(x, y, weights, facts, frame, result[:CELLS])
+    _fill_gains(x, y, weights, facts, frame, result[CELLS : POLAR_SIZE - NUMBERS])
+    px, py = facts[X], facts[Y]
+    c, s, mirror = frame
+    speed = math.sqrt(facts[WIND_X] * facts[WIND_X] + facts[WIND_Y] * facts[WIND_Y])
+    diffusivity = facts[DIFFUSIVITY]
+    wind_x, wind_y = c * facts[WIND_X] + s * facts[WIND_Y], mirror * (c * facts[WIND_Y] - s * facts[WIND_X])
+    length = 1 / math.sqrt(
+        1 / (diffusivity * facts[LIFETIME]) + speed * speed / (4 * diffusivity * diffusivity)
+    )
+    said = math.sqrt(facts[XX] + facts[YY])
+    middle = 0.5 * (SOURCE_LOW_M + SOURCE_HIGH_M)
+    to_x, to_y = middle - px, middle - py
+    # Mirroring at the diagonal maps the area onto itself, so a mirrored frame becomes a plain one if x and y
+    # are swapped.
+    plain = mirror > 0
+    numbers = (
+        off / 15,
+        log(off + 0.1) / 3,
+        log(said + 0.05) / 3,
+        said / 8,
+        log(spread + 0.05) / 3,
+        spread / 8,
+        2 * xx - 1,
+        2 * xy,
+        wind_x / 4,
+        wind_y / 4,
+        wind_x / max(speed, 1e-9),
+        wind_y / max(speed, 1e-9),
+        speed / (2 * diffusivity),
+        log(diffusivity) / 2,
+        length / 10,
+        log(length),
+        log(facts[RATE] / (4 * math.pi * diffusivity)) / 3,
+        (c * to_x + s * to_y) / 15,
+        mirror * (c * to_y - s * to_x) / 15,
+        c if plain else s,
+        s if plain else c,
+        (px if plain else py) / AREA_M,
+        (py if plain else px) / AREA_M,
+        log(inside + 1e-3) / 3,
+    )
+    for k in range(NUMBERS):
+        result[POLAR_SIZE - NUMBERS + k] = min(max(numbers[k], -BOUND), BOUND)
 
 
 @subroutine
 def _as_sent(particles: Array, weights: Array, total: float, x: Array, y: Array, sent: Array) -> None:
-    """Fill x, y and `sent` with particles (2, N) and normalised weights as they cross the wire: float32
-    values.
-    """
+    """Fill x, y and `sent` with particles (2, N) and normalised weights as on the wire: float32 values."""
     for i in range(len(x)):
         x[i], y[i], sent[i] = (
             np.float32(particles[0, i]),
@@ -345,6 +332,6 @@ class Schema:
 
 
 SCHEMAS: Mapping[str, Schema] = {
-    "paper": Schema(1, PAPER, _see_paper, _paper_of_missions),
-    "polar": Schema(1, POLAR, _see_polar, _polar_of_missions),
+    "paper": Schema(1, PAPER_SIZE, _paper, _paper_of_missions),
+    "polar": Schema(1, POLAR_SIZE, _polar, _polar_of_missions),
 }

@@ -7,7 +7,6 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 
@@ -61,12 +60,8 @@ def policies() -> dict[str, str]:
 
 def _first_line(module: str) -> str:
     """The first line of a module's docstring. The module is not imported: some compile."""
-    spec = find_spec(module)
-    assert spec is not None
-    assert spec.origin is not None
-    return (ast.get_docstring(ast.parse(Path(spec.origin).read_text(encoding="utf-8"))) or "").partition(
-        "\n"
-    )[0]
+    source = Path(__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
+    return (ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or "").partition("\n")[0]
 
 
 def _about(plugin: EntryPoint) -> str:
@@ -118,20 +113,12 @@ def bundle_path(name: str) -> Path | None:
     return SHIPPED.get(name) or (Path(name) if name.endswith(".zip") else None)
 
 
-def policy_argument(text: str) -> str:
-    """Argument type: a policy that can be flown, by its name or its file."""
-    try:
-        policy(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    return text
-
-
 def add_policy_argument(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add the flag that chooses the policy, or with `several` the policies."""
+    flown = cli.checked(policy)
     argument = parser.add_argument(
         "--policy",
-        type=cli.listed(policy_argument) if several else policy_argument,
+        type=cli.listed(flown) if several else flown,
         default=[DEFAULT] if several else DEFAULT,
         metavar="NAME,NAME" if several else "NAME",
         help=f"how waypoints are chosen: {', '.join(named())}, or a bundle, FILE.zip (default: {DEFAULT})",
@@ -173,6 +160,7 @@ def _planned(name: str) -> Policy:
 
 def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: float = AREA_M) -> Reach:
     """Return what a policy may choose from: the planner's own `Reach`, with the area and the given fields.
+
     Raises ValueError.
     """
     if name in PLANNERS:
@@ -190,15 +178,13 @@ def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: 
 
 
 def choose(name: str, belief: Belief, particles: Particles, seed: int, within: Reach) -> tuple[float, float]:
-    """Return the next waypoint (x, y) m in the area, a float32 pair: a function of the belief and the seed
-    alone.
+    """Return the next waypoint (x, y) m, a float32 pair: a function of the belief and the seed alone.
 
     Raises PolicyError where the policy fails, or returns something that is not a waypoint.
     """
     decide = policy(name)
-    seen = np.asfortranarray(
-        particles
-    ).view()  # one order of numbers in memory, on the bus and off it: sums depend on it
+    # One order of numbers in memory, on the bus and off it: sums depend on it.
+    seen = np.asfortranarray(particles).view()
     seen.flags.writeable = False
     try:
         said = decide(belief, seen, within, keyed(seed, name, belief.step))

@@ -18,7 +18,7 @@ from plume.elementary import Array
 from plume.numerics import HALF_LOG_2PI, erfc, exp, log
 from plume.parameters import GREATEST_CV
 
-CVS, MODES = 60, 64  # cells of the table over cv from 0 to GREATEST_CV and over v from 0 to 1
+CV_CELLS, MODE_CELLS = 60, 64  # cells of the table over cv from 0 to GREATEST_CV and over v from 0 to 1
 SMALLEST_CV = 0.01  # least intermittency: a hundredth of the mean is far below every noise
 SMALLEST_MEAN = 1e-6  # least mean, in standard deviations of the noise
 NODES = 600  # nodes of the integrals behind the table
@@ -45,12 +45,12 @@ def _log_moment(power: float, w: float) -> float:
 
 @kernel("float64[:, ::1]()")
 def _corrections() -> Array:
-    """The table (CVS + 1, MODES + 1): log of what Laplace's method leaves out, less its value at v = 0."""
-    result = np.zeros((CVS + 1, MODES + 1))
-    for row in range(1, CVS + 1):
-        k = (CVS / (GREATEST_CV * row)) ** 2
-        for column in range(MODES):
-            v = max(column / MODES, 1e-7)
+    """The table (CV_CELLS + 1, MODE_CELLS + 1): log of what Laplace's method leaves out, 0 at v = 0."""
+    result = np.zeros((CV_CELLS + 1, MODE_CELLS + 1))
+    for row in range(1, CV_CELLS + 1):
+        k = (CV_CELLS / (GREATEST_CV * row)) ** 2
+        for column in range(MODE_CELLS):
+            v = max(column / MODE_CELLS, 1e-7)
             c = math.sqrt((1 + k) * v / (1 - v))
             w = (k - c * c) / c
             if k >= 1:
@@ -61,22 +61,22 @@ def _corrections() -> Array:
             laplace = k * log(c) - c * w - 0.5 * c * c + HALF_LOG_2PI - 0.5 * log(k + c * c)
             result[row, column] = exact - laplace
         first = result[row, 0]
-        for column in range(MODES + 1):
+        for column in range(MODE_CELLS + 1):
             result[row, column] -= first
     return result
 
 
 @kernel("float64[:, ::1]()")
 def _concentrations() -> Array:
-    """Concentrations (CVS + 1, BODY + TAIL) that stand for shares of the gas: the medians of the shares.
+    """Concentrations (CV_CELLS + 1, BODY + TAIL) that stand for shares of the gas: the medians of the shares.
 
     They are in units of the mean.
     """
-    result = np.ones((CVS + 1, BODY + TAIL))
+    result = np.ones((CV_CELLS + 1, BODY + TAIL))
     nodes = 20 * NODES
     cumulative = np.empty(nodes + 1)
-    for row in range(1, CVS + 1):
-        k = (CVS / (GREATEST_CV * row)) ** 2
+    for row in range(1, CV_CELLS + 1):
+        k = (CV_CELLS / (GREATEST_CV * row)) ** 2
         low, high = log(k) - 40 / k - 40 / math.sqrt(k), log(k + 40 * math.sqrt(k) + 40)
         step = (high - low) / nodes
         total, before = 0.0, 0.0
@@ -117,11 +117,11 @@ def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
     ratio = 2 * k / (root + a) if a > 0 else (root - a) / (2 * mu * mu)  # c*/μ
     square = ratio * mu * ratio * mu
     total = k + square
-    x = cv * (CVS / GREATEST_CV)
-    row = min(int(x), CVS - 1)
+    x = cv * (CV_CELLS / GREATEST_CV)
+    row = min(int(x), CV_CELLS - 1)
     x -= row
-    y = square / (1 + total) * MODES
-    column = min(int(y), MODES - 1)
+    y = square / (1 + total) * MODE_CELLS
+    column = min(int(y), MODE_CELLS - 1)
     y -= column
     low = CORRECTIONS[row, column] + y * (CORRECTIONS[row, column + 1] - CORRECTIONS[row, column])
     high = CORRECTIONS[row + 1, column] + y * (
@@ -142,8 +142,8 @@ def distribution(gas: float, mean: float, variance: float, cv: float, tails: Arr
 
     tails: (BODY + TAIL,) to compute in.
     """
-    x = cv * (CVS / GREATEST_CV)
-    row = min(int(x), CVS - 1)
+    x = cv * (CV_CELLS / GREATEST_CV)
+    row = min(int(x), CV_CELLS - 1)
     x -= row
     inverse = math.sqrt(0.5 / variance)
     low, high = CONCENTRATIONS[row], CONCENTRATIONS[row + 1]

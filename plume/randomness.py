@@ -12,7 +12,7 @@ import numpy as np
 from plume.elementary import Array, Indices
 
 MAX_SEED = 2**63 - 1
-TAIL = 3.65  # beyond it NumPy's normal draws are not a product of exact numbers
+EXACT_WITHIN = 3.65  # beyond it NumPy's normal draws are not a product of exact numbers
 
 
 @cache
@@ -56,9 +56,9 @@ def uniform(rng: np.random.Generator, low: Array, high: Array | float) -> Array:
 
 
 def standard_normal(rng: np.random.Generator, size: int) -> Array:
-    """Draw N(0, 1), the 0.03% beyond ±TAIL to 9 digits: NumPy takes these from the C library's log."""
+    """Draw N(0, 1), the 0.03% beyond ±EXACT_WITHIN to 9 digits: NumPy takes them from the C library's log."""
     drawn = rng.standard_normal(size)
-    return np.where(np.abs(drawn) > TAIL, np.rint(drawn * 2.0**30) / 2.0**30, drawn)
+    return np.where(np.abs(drawn) > EXACT_WITHIN, np.rint(drawn * 2.0**30) / 2.0**30, drawn)
 
 
 def standard_gamma(rng: np.random.Generator, shape: Array | float, size: int) -> Array:

@@ -5,6 +5,7 @@
 `gymnasium.make_vec` makes many at once.
 """
 
+import math
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -18,7 +19,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from agent.learn.missions import Missions
-from agent.learn.render import RENDERING, Frame, Onlooker, check
+from agent.learn.render import RENDERING, Onlooker, Pixels
 from agent.observation import BOUND, SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move
 from estimator.assumptions import ASSUMPTIONS
@@ -28,10 +29,10 @@ from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS
 from plume.worlds import AS_MODELLED, WORLDS
 
+# Training draws seeds below it. Seeds from it to a million are for validation, above for testing.
 TRAINING_SEEDS = 900_000
-"""Training draws seeds below it. Seeds from it to a million are for validation, above for testing."""
+# By name: reward of each step and of the stop.
 REWARDS: Mapping[str, tuple[float, float]] = {"paper": (0.0, 1.0), "cost": (-0.01, 1.0)}
-"""By name: reward of each step and of the stop."""
 
 Floats = Array
 Flags = NDArray[np.bool_]
@@ -73,7 +74,7 @@ class Settings:
             if not isinstance(value, str) or value not in names:
                 raise ValueError(f"{name} {value!r} is not allowed; wanted {' or '.join(names)}")
         for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
-            _check_whole(name, getattr(self, name), least)
+            _whole(name, getattr(self, name), least)
         threshold_m: Any = self.threshold_m
         if (
             isinstance(threshold_m, bool)
@@ -127,11 +128,13 @@ class Settings:
 
         Raises ValueError on another mode than `rgb_array`.
         """
-        check(render_mode)
+        if render_mode not in (None, *RENDERING["render_modes"]):
+            raise ValueError(f"render_mode {render_mode!r} is not allowed; wanted None or 'rgb_array'")
         return Onlooker(self.criterion.text, self.assume, self.budget) if render_mode else None
 
     def actions(self, given: Any, *count: int) -> NDArray[Any]:
         """Return `count` actions as an array, (B,) or (B, 2); without a count a single one, () or (2,).
+
         Raises ActionError.
         """
         shape = (*count, 2) if self.continuous else count
@@ -161,8 +164,9 @@ class Settings:
         return actions
 
     def fly(self, missions: Missions, actions: NDArray[Any]) -> tuple[Floats, Flags, Flags]:
-        """Fly each mission to the waypoint of its action; returns rewards, terminated and truncated, (B,)
-        each.
+        """Fly each mission to the waypoint of its action.
+
+        Returns rewards, terminated and truncated, (B,) each.
         """
         missions.move(self.move.waypoints(missions.positions, missions.frames, actions, AREA_M))
         step, stop = REWARDS[self.reward]
@@ -171,9 +175,12 @@ class Settings:
         return np.where(terminated, step + stop, step), terminated, truncated
 
 
-def _check_whole(name: str, value: Any, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} {value!r} is not allowed; wanted a whole number from {least}")
+def _whole(name: str, value: Any, least: int, most: float = math.inf) -> int:
+    """Return a whole number within these limits. Raises ValueError."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
+        limit = "" if most == math.inf else f" to {most}"
+        raise ValueError(f"{name} {_short(value)} is not allowed; wanted a whole number from {least}{limit}")
+    return int(value)
 
 
 def _short(value: Any) -> str:
@@ -181,10 +188,7 @@ def _short(value: Any) -> str:
 
 
 def _seed(value: Any) -> int:
-    """Return a mission's seed. Raises ValueError."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= MAX_SEED:
-        raise ValueError(f"seed {_short(value)} is not allowed; wanted a whole number from 0 to {MAX_SEED}")
-    return int(value)
+    return _whole("seed", value, 0, MAX_SEED)
 
 
 def _refuse(options: Any) -> None:
@@ -307,9 +311,7 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin a mission and take its first reading. Raises ValueError on a bad seed and on options:
-        there are none.
-        """
+        """Begin a mission and take its first reading. Raises ValueError on a bad seed, and on options."""
         _refuse(options)
         seed = None if seed is None else _seed(seed)
         super().reset(seed=seed)
@@ -338,9 +340,10 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
             self._info(),
         )
 
-    def render(self) -> Frame | None:
-        """Return the picture of the mission, (540, 960, 3), with the true plume and source; None without a
-        `render_mode`.
+    def render(self) -> Pixels | None:
+        """Return the picture of the mission, (540, 960, 3), with the true plume and source.
+
+        None without a `render_mode`.
         """
         if self.onlooker is None:
             return None
@@ -354,11 +357,10 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
 
 
 class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
-    """Missions in parallel in this process, on the filter's batch kernels, each bit-identical to
-    `SourceSearch`.
+    """Missions in parallel in this process, each bit-identical to `SourceSearch`.
 
-    When a mission ends, the next one begins in the same step; `final_obs` and `final_info` are those of
-    the mission that ended.
+    They share the filter's batch kernels. When a mission ends, the next one begins in the same step;
+    `final_obs` and `final_info` are those of the mission that ended.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, **RENDERING}  # noqa: RUF012
@@ -371,7 +373,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         Raises like `SourceSearch`.
         """
         for name, value in (("num_envs", num_envs), ("threads", threads)):
-            _check_whole(name, value, 1)
+            _whole(name, value, 1)
         self.num_envs = num_envs
         self.settings = Settings.of(settings, "num_envs", "threads", "render_mode")
         self.render_mode = render_mode
@@ -386,10 +388,9 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence; without a seed, the
-        next ones drawn.
+        """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence.
 
-        Raises like `SourceSearch.reset`.
+        Without a seed, the next ones are drawn. Raises like `SourceSearch.reset`.
         """
         _refuse(options)
         if seed is None and self._draws:
@@ -445,10 +446,8 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             self.onlooker.look(missions)
         return missions.observations.copy(), rewards, terminated, truncated, infos | _told(missions)
 
-    def render(self) -> tuple[Frame, ...] | None:
-        """Return the pictures of all missions, as `SourceSearch.render` does of one; None without a
-        `render_mode`.
-        """
+    def render(self) -> tuple[Pixels, ...] | None:
+        """Return the pictures of all missions, as `SourceSearch.render` does of one."""
         if self.onlooker is None:
             return None
         if self.missions is None:

@@ -44,11 +44,9 @@ class Missions:
         self.distances_m = np.zeros(count)
         self.spreads_m = np.empty(count)
         self.ceased = np.zeros(count, np.bool_)
-        self.frames = np.empty((count, 3))
-        """Frames of the observations, in which actions are given."""
+        self.frames = np.empty((count, 3))  # of the observations, in which actions are given
         self.observations = np.empty((count, self._schema.size), np.float32)
-        self.facts = np.empty((count, len(FACTS)))
-        """What is known of each mission: columns are FACTS."""
+        self.facts = np.empty((count, len(FACTS)))  # what is known of each mission
         self._sources = np.empty((count, 2))
         self._noise = Keyed()
         self._world = world
@@ -65,8 +63,9 @@ class Missions:
         self._read(missions)
 
     def move(self, waypoints: Array) -> None:
-        """Fly each mission to its waypoint and take a reading there. waypoints: (B, 2) m, float32 values
-        within the area.
+        """Fly each mission to its waypoint and take a reading there.
+
+        waypoints: (B, 2) m, float32 values within the area.
         """
         self.steps += 1
         self.distances_m += np.sqrt(np.square(waypoints - self.positions).sum(axis=1))
@@ -94,19 +93,21 @@ class Missions:
 
         The time is the step: there is no clock.
         """
-        step, (x, y), (east, north) = (
-            int(self.steps[mission]),
-            self.positions[mission].tolist(),
+        step, (x, y) = int(self.steps[mission]), self.positions[mission].tolist()
+        (east, north), ((xx, xy), (_, yy)) = (
             self.estimates[mission].tolist(),
+            self._batch.covariances[mission, :2, :2].tolist(),
         )
-        (xx, xy), (_, yy) = self._batch.covariances[mission, :2, :2].tolist()
-        gas, spread_m, ceased = (
-            self.facts[mission, observation.GAS],
-            self.spreads_m[mission],
-            self.ceased[mission],
-        )
+        gas, spread_m = float(self.facts[mission, observation.GAS]), float(self.spreads_m[mission])
         return Measurement(
-            step, float(step), (x, y), float(gas), float(spread_m), (east, north), (xx, xy, yy), bool(ceased)
+            step,
+            float(step),
+            (x, y),
+            gas,
+            spread_m,
+            (east, north),
+            (xx, xy, yy),
+            bool(self.ceased[mission]),
         )
 
     def scatter(self, mission: int) -> Scatter:

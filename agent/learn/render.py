@@ -17,13 +17,7 @@ from scene.scene import Backdrop, Craft, Ending, Measurement, Release, Scene, ju
 # The metadata of an environment about its pictures.
 RENDERING: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FRAMES_PER_S}
 
-Frame = NDArray[np.uint8]  # (540, 960, 3)
-
-
-def check(render_mode: str | None) -> None:
-    """Raise ValueError if it is not allowed."""
-    if render_mode not in (None, *RENDERING["render_modes"]):
-        raise ValueError(f"render_mode {render_mode!r} is not allowed; wanted None or 'rgb_array'")
+Pixels = NDArray[np.uint8]  # (540, 960, 3)
 
 
 class Onlooker:
@@ -33,8 +27,8 @@ class Onlooker:
         """Take what a picture says of the settings; `stop` in the form of --stop."""
         self._stop, self._assume, self._budget = stop, assume, budget
         self._taken: list[list[Measurement]] = []
+        # One of scene/drawing.py for each mission; None until it is drawn.
         self._drawings: list[Any] = []
-        """One of scene/drawing.py for each mission; None until it is drawn."""
 
     def look(self, missions: Missions) -> None:
         """Note the newest reading of each mission. To be called after each reset and step."""
@@ -47,7 +41,7 @@ class Onlooker:
                 self._drawings[i] = None
             taken.append(missions.measurement(i))
 
-    def frame(self, missions: Missions, i: int) -> Frame:
+    def frame(self, missions: Missions, i: int) -> Pixels:
         """Return the picture of mission i, (540, 960, 3).
 
         Raises gymnasium's DependencyNotInstalled without matplotlib.
@@ -93,8 +87,6 @@ class Onlooker:
 
 
 def _heading(track: NDArray[np.float32]) -> float:
-    """Return the direction of the last move, counter-clockwise from east; NaN before the first and after
-    one of no length.
-    """
+    """Return the direction of the last move, counter-clockwise from east; NaN where there is none."""
     x, y = (track[-1] - track[-2]).tolist() if len(track) > 1 else (0.0, 0.0)
     return math.atan2(y, x) if x or y else math.nan

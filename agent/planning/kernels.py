@@ -1,7 +1,7 @@
-"""The planners' fused loops, compiled by numba and cached: they reweight a belief by hypothetical
-readings.
+"""The planners' fused loops: they reweight a belief by hypothetical readings.
 
-Plain IEEE arithmetic in a fixed order: bit-identical on every machine and in every run.
+Compiled by numba and cached. Plain IEEE arithmetic in a fixed order: bit-identical on every machine and in
+every run.
 """
 
 import math
@@ -19,9 +19,7 @@ BLOCK = 1024
 
 @subroutine
 def _variance(mean: float, noise: float, cv: float, sensor: Array) -> float:
-    """Variance of a reading: the sensor's noise, times the squared factor `noise`, and the gas's own with
-    this intermittency.
-    """
+    """Variance of a reading: the sensor's, times the squared factor `noise`, and the gas's own by its cv."""
     return float(
         noise * noise * (sensor[1] * sensor[1] * mean * mean + sensor[2] * sensor[2]) + cv * cv * mean * mean
     )
@@ -31,8 +29,7 @@ def _variance(mean: float, noise: float, cv: float, sensor: Array) -> float:
 def _exponents(
     means: Array, noises: Array, sensor: Array, quadratic: Array, linear: Array, constant: Array
 ) -> None:
-    """Fill the coefficients of the log-likelihood of a reading z under each particle: quadratic · z² +
-    linear · z + constant.
+    """Fill in the log-likelihood of a reading z under each particle: quadratic · z² + linear · z + constant.
 
     A reading in intermittent gas is taken to be normal, with its true mean and variance: the exact density
     is no quadratic and takes far longer (docs/planners.md compares them). For hits, the term −log z! is
@@ -74,10 +71,9 @@ def _likelihoods(
     likelihoods: Array,
     products: Array,
 ) -> None:
-    """Fill `likelihoods` with w L and `products` with w L log L of a reading z under a block of particles;
-    L is relative to `own`.
+    """Fill `likelihoods` with w L and `products` with w L log L of a reading z under a block of particles.
 
-    Two loops with few arrays each: with more arrays LLVM cannot rule out aliasing.
+    L is relative to `own`. Two loops with few arrays each: with more arrays LLVM cannot rule out aliasing.
     """
     for i in range(len(weights)):
         exponents[i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
@@ -98,13 +94,14 @@ def _reweight(
     buffers: Array,
     sums: Array,
 ) -> None:
-    """Reweight by a reading z: fill `sums` with Σ w L, Σ w L log L and Σ w L v for each row v of values
-    (F, N). buffers: (3, BLOCK).
+    """Reweight by a reading z: fill `sums` with Σ w L, Σ w L log L and Σ w L v for each row v of values.
+
+    values: (F, N).  buffers: (3, BLOCK).
     """
     sums[:] = 0.0
     for start in range(0, len(weights), BLOCK):
-        part = slice(start, min(start + BLOCK, len(weights)))
-        size = part.stop - start
+        size = min(BLOCK, len(weights) - start)
+        part = slice(start, start + size)
         likelihoods, products = buffers[0, :size], buffers[1, :size]
         _likelihoods(
             one[part], two[part], three[part], z, own, weights[part], buffers[2, :size], likelihoods, products

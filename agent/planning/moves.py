@@ -30,9 +30,7 @@ class Reach:
         return float(edge if float(edge) <= self.area_m else np.nextafter(edge, np.float32(0)))
 
     def moves(self, position: tuple[float, float]) -> Array:
-        """Return the waypoints (A, 2) m that one step reaches inside the area; float32 values, as on the
-        wire.
-        """
+        """Return the waypoints (A, 2) m that one step reaches in the area; float32 values, as on the wire."""
         places = (np.asarray(position) + self.step * self.directions).astype(np.float32).astype(np.float64)
         return places[((places >= 0) & (places <= self.area_m)).all(axis=1)]
 
@@ -43,8 +41,9 @@ class Reach:
 
 
 class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", forbid_unknown_fields=True):
-    """Discrete actions: a step in one of `count` evenly spaced directions of the observation's frame; the
-    first is along its x axis.
+    """Discrete actions: a step in one of `count` evenly spaced directions of the observation's frame.
+
+    The first is along its x axis.
     """
 
     count: int
@@ -84,8 +83,9 @@ class HeadingAndStep(
         return said
 
     def waypoints(self, positions: Array, frames: Array, actions: Array, area_m: float) -> Array:
-        """Return the waypoints (B, 2) m of actions (B, 2) from positions (B, 2) m; actions are clipped to
-        [−1, 1]. frames: (B, 3).
+        """Return the waypoints (B, 2) m of actions (B, 2), clipped to [−1, 1], from positions (B, 2) m.
+
+        frames: (B, 3).
         """
         heading, share = np.clip(np.asarray(actions, np.float64).T, -1.0, 1.0)
         return _moved(positions, frames, heading / 2, self.step_m * (share + 1) / 2, area_m)

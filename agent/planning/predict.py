@@ -51,8 +51,9 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Imagined:
-    """A belief after hypothetical readings: K readings at each of A places, drawn from the belief's
-    predictive distribution there.
+    """A belief after hypothetical readings: K at each of A places.
+
+    They are drawn from the belief's predictive distribution there.
     """
 
     log_predictive: Array  # (A, K): log predictive density of each reading. For hits, log z! is left out.
@@ -125,12 +126,11 @@ def imagine(
     rng: np.random.Generator,
     values: Array | None = None,
 ) -> Imagined:
-    """Draw `number` readings at each place (A, 2) m from the predictive distribution there, and reweight
-    the belief by each.
+    """Draw `number` readings at each place (A, 2) m, and reweight the belief by each.
 
-    values: (F, N) or (A, F, N) values of the particles, whose expectations are wanted.  The draws are
-    stratified over the belief. All places share the same random numbers, so that chance does not decide
-    between them.
+    They are drawn from the predictive distribution there. values: (F, N) or (A, F, N) values of the
+    particles, whose expectations are wanted.  The draws are stratified over the belief. All places share the
+    same random numbers, so that chance does not decide between them.
     """
     if values is not None:
         values = values[None, None] if values.ndim == 2 else values[:, None]
@@ -152,8 +152,9 @@ def imagine_along(
     rng: np.random.Generator,
     values: Array | None = None,
 ) -> Imagined:
-    """Do the same along paths (A, L, 2) m: results (A, L, K) at a place include the path's readings before
-    it. values: (A, L, F, N).
+    """Do the same along paths (A, L, 2) m: results (A, L, K) include the path's readings before a place.
+
+    values: (A, L, F, N).
     """
     sensor = parse(belief.sensor)
     means = concentrations(belief, hypotheses, paths.reshape(-1, 2)).reshape(*paths.shape[:2], -1)
@@ -177,9 +178,7 @@ def imagine_along(
 
 
 def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Generator) -> Array:
-    """Draw a reading (K,) for each mean (K,), with each one's factor on the sensor's noise and
-    intermittency of the gas, (2, K).
-    """
+    """Draw a reading (K,) for each mean (K,), with its own noise factor and intermittency, (2, K)."""
     factors, cvs = noises
     gas = None
     if cvs.any():
@@ -189,11 +188,10 @@ def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Genera
 
 
 def entropy_spread(hypotheses: Cloud, spread: float) -> float:
-    """Spread of the round normal distribution with the same entropy H as the location's, m: sqrt(exp(H)/(π
-    e)), H in nats (m²).
+    """Spread of the round normal distribution with the same entropy H as the location's, m.
 
-    H is computed from cells with a side of a quarter of the spread. If half of a disc is ruled out, the
-    entropy spread shrinks, while the spread itself need not.
+    It is sqrt(exp(H)/(π e)), H in nats (m²). H is computed from cells with a side of a quarter of the spread.
+    If half of a disc is ruled out, the entropy spread shrinks, while the spread itself need not.
     """
     cell = max(spread, SOURCE_RADIUS_M) / CELLS_A_SPREAD
     shares = shares_of_cells(hypotheses, cell)
@@ -201,9 +199,7 @@ def entropy_spread(hypotheses: Cloud, spread: float) -> float:
 
 
 def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
-    """Return the belief's weight in each square cell of this side (m) that has any, in order of column and
-    row.
-    """
+    """Return the belief's weight in each square cell of this side (m) that has any, by column and row."""
     columns, rows = np.clip(np.floor(hypotheses.places / cell), -FAR, FAR).astype(np.int64)
     rows -= rows.min()
     numbers = (columns - columns.min()) * (1 + rows.max()) + rows
@@ -216,12 +212,9 @@ def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
 def variances(
     belief: Belief, hypotheses: Cloud, places: Array, number: int, rng: np.random.Generator
 ) -> Array:
-    """Trace of the location's covariance after each of `number` hypothetical readings at each place (A, 2)
-    m: (A, K) m².
-    """
-    offsets = (
-        hypotheses.places - hypotheses.mean(hypotheses.places)[:, None]
-    )  # offsets from the mean limit cancellation below
+    """Trace of the location's covariance after hypothetical readings at places (A, 2) m: (A, K) m²."""
+    # Offsets from the mean limit cancellation below.
+    offsets = hypotheses.places - hypotheses.mean(hypotheses.places)[:, None]
     values = np.vstack([offsets, np.square(offsets).sum(axis=0)])
     expected = imagine(belief, hypotheses, places, number, rng, values).expectations
     return np.asarray(np.maximum(expected[:, :, 2] - np.square(expected[:, :, :2]).sum(axis=2), 0.0))

@@ -18,7 +18,7 @@ from agent.trials.workers import THREADS
 
 # Tasks handed out at once: more than a cluster flies in the second between two polls, without holding ten
 # million in memory.
-AHEAD = 10_000
+HANDED_OUT = 10_000
 
 
 class ClusterError(Exception):
@@ -81,7 +81,8 @@ def on_cluster(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[lis
         left = iter(tasks)
         waiting: list[Any] = []
         while waiting := waiting + [
-            remote.remote(pickle.dumps((sweep, flights))) for flights in islice(left, AHEAD - len(waiting))
+            remote.remote(pickle.dumps((sweep, flights)))
+            for flights in islice(left, HANDED_OUT - len(waiting))
         ]:
             finished, waiting = ray.wait(waiting, num_returns=len(waiting), timeout=1)
             for flown in ray.get(finished):

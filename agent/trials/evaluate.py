@@ -137,11 +137,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly the missions and print their figures; returns the exit status."""
-    from agent.trials.cluster import (
-        ClusterError,
-        join,
-    )  # here, and below: they load the kernels, which help does not need
+    """Fly the missions and print their figures; returns the exit status. Raises BadInput."""
+    # Here, and below: they load the kernels, which help does not need.
+    from agent.trials.cluster import ClusterError, join
     from agent.trials.sweep import Sweep
 
     sweep = Sweep(
@@ -158,28 +156,24 @@ def run(args: argparse.Namespace) -> int:
         for name in args.policy:
             reach(name, cli.reach_given(args))
     except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
-    if refusal := cli.unwritable(
-        "--missions", [args.missions] if args.missions else [], args.force or args.resume
+        raise cli.BadInput(str(error)) from error
+    if args.missions and (
+        refusal := cli.unwritable("--missions", [args.missions], args.force or args.resume)
     ):
-        print(f"error: {refusal}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(refusal)
     there: list[MissionRow] = []
     try:
         if args.resume and args.missions and args.missions.exists():
             there = read_csv(args.missions)
     except (OSError, ValueError) as error:
-        print(f"error: --missions: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"--missions: {error}") from error
     try:
         if args.ray:
             tell(f"joining the Ray cluster at {args.ray}")
             join(args.ray)
         return _evaluate(sweep, there, args)
     except ClusterError as error:
-        print(f"error: --ray: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"--ray: {error}") from error
 
 
 def _evaluate(sweep: "Sweep", there: Sequence[MissionRow], args: argparse.Namespace) -> int:
@@ -212,12 +206,9 @@ def _evaluate(sweep: "Sweep", there: Sequence[MissionRow], args: argparse.Namesp
             others = [row for row in there if (row.flight, row.criterion) not in new]
             write_csv([*others, *rows], args.missions)
         except OSError as error:
-            print(
-                f"error: --missions: {error}; the missions are saved: run the command again with another "
-                "file",
-                file=sys.stderr,
-            )
-            return cli.BAD_INPUT
+            raise cli.BadInput(
+                f"--missions: {error}; the missions are saved: run the command again with another file"
+            ) from error
     result = named(rows)
     taken = args.json or (args.missions and _is_stdout(args.missions))
     print_table(result, sys.stderr if taken else sys.stdout, "--json")
@@ -309,8 +300,9 @@ def _open(path: Path, mode: str, *, compressed: bool) -> IO[str]:
 
 
 def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> None:
-    """Print the figures of `named` as a table, for people; `elsewhere` says how to see what a narrow
-    terminal leaves out.
+    """Print the figures of `named` as a table, for people.
+
+    `elsewhere` says how to see what a narrow terminal leaves out.
     """
     said = list(result.values())
     settings = {

@@ -83,8 +83,9 @@ Flyer = Callable[[Sweep, Iterable[Sequence[Flight]]], Generator[list[MissionRow]
 
 
 def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
-    """Fly missions of one seed until all stop criteria have been met; returns their rows, one per
-    criterion, each as of its own stop.
+    """Fly missions of one seed until all stop criteria have been met.
+
+    Returns their rows, one per criterion, each as of its own stop.
     """
     first = sweep.stops[0]
     missions = [
@@ -241,10 +242,10 @@ def flown(
 def fly_all(
     sweep: Sweep, journal: Path, fly_tasks: Flyer, there: Sequence[MissionRow] = ()
 ) -> Generator[list[MissionRow], None, None]:
-    """Fly the flights that neither the journal nor the rows `there` have; yields the rows of each flight,
-    first of those that have been flown.
+    """Fly the flights that neither the journal nor the rows `there` have; yields the rows of each flight.
 
-    Each flight is added to the journal as it ends, so an interrupted sweep can resume.
+    Those that have been flown come first. Each flight is added to the journal as it ends, so an interrupted
+    sweep can resume.
     """
     done = complete(sweep, there) | kept(sweep, journal)
     yield from done.values()
@@ -328,9 +329,7 @@ def journal_of(sweep: Sweep, folder: Path) -> Path:
 
 
 def ordered(rows: Iterable[MissionRow], sweep: Sweep) -> list[MissionRow]:
-    """Return rows by policy and world, as requested, then by particles, stop criterion and seed, whichever
-    worker ended first.
-    """
+    """Return rows by policy and world, as requested, then by particles, stop criterion and seed."""
     rank = {flown: i for i, flown in enumerate(product(sweep.policies, sweep.worlds))}
     stops = sorted(sweep.stops, key=lambda stop: (stop.within or (), stop.threshold_m))
     place = {stop.text: i for i, stop in enumerate(stops)}

@@ -199,16 +199,13 @@ def save(model: BaseAlgorithm, state: RunState, folder: Path) -> None:
 def _resumed(model: BaseAlgorithm, env: StableBaselinesEnv, path: Path) -> tuple[BaseAlgorithm, RunState]:
     """Return the learner and the state of a checkpoint. Raises CheckpointError if it is broken."""
     try:
-        with warnings.catch_warnings(
-            action="ignore", category=UserWarning
-        ):  # that the loaded replay buffer has returns over several moves
+        # That the loaded replay buffer has returns over several moves.
+        with warnings.catch_warnings(action="ignore", category=UserWarning):
             model = type(model).load(path / "learner.zip", env=env, device="cpu")
         if isinstance(model, OffPolicyAlgorithm):
             model.load_replay_buffer(path / "replay.pkl")
         return model, msgspec.json.decode((path / "state.json").read_bytes(), type=RunState)
-    except (
-        Exception
-    ) as error:  # zipfile, torch and pickle raise errors without a common base on a broken file
+    except Exception as error:  # what zipfile, torch and pickle raise on a broken file has no common base
         said = " ".join(str(error).split())[:200]
         raise CheckpointError(
             f"{str(path)!r} cannot be read: {said or type(error).__name__}; delete it to begin anew"
@@ -218,14 +215,12 @@ def _resumed(model: BaseAlgorithm, env: StableBaselinesEnv, path: Path) -> tuple
 def train(
     recipe: Recipe, seed: int, folder: Path, threads: int, tell: Tell
 ) -> tuple[BaseAlgorithm, list[CurvePoint]]:
-    """Train by a recipe, from the last checkpoint in the folder if there is one; returns the learner and
-    its curve.
+    """Train by a recipe, from the last checkpoint in the folder if there is one.
 
-    Raises CheckpointError if that checkpoint is broken.
+    Returns the learner and its curve. Raises CheckpointError if that checkpoint is broken.
     """
-    torch.set_num_threads(
-        1
-    )  # more would change the last bits, and idle ones would take cores from the missions
+    # More threads would change the last bits, and idle ones would take cores from the missions.
+    torch.set_num_threads(1)
     env = StableBaselinesEnv(SourceSearchVector(recipe.missions, threads, **recipe.env))
     model, state = learner(recipe, env, seed % 2**32), RunState()
     if kept := checkpoints(folder):

@@ -49,28 +49,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the report on a folder of raw results; returns the exit status."""
+    """Write the report on a folder of raw results; returns the exit status. Raises BadInput."""
     if find_spec("matplotlib") is None:
         print("error: report needs matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
         return cli.FAILED
     try:
         results = read(args.results)
     except ValueError as error:
-        print(f"error: --results: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"--results: {error}") from error
     try:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        print(f"error: --out: no folder {str(args.out)!r} to write in: {error.strerror}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"--out: no folder {str(args.out)!r} to write in: {error.strerror}") from error
     if refusal := cli.unwritable("--out", (args.out / name for name in FILES), args.force):
-        print(f"error: {refusal}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(refusal)
     try:
         write(results, args.out, FLIGHTS)
     except OSError as error:
-        print(f"error: --out: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"--out: {error}") from error
     return 0
 
 

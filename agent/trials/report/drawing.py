@@ -18,7 +18,7 @@ from plume.scenario import AREA_M, SUCCESS_RADIUS_M
 from scene.drawing import ESTIMATE, INK, SOURCE, START, plume, ticks
 from scene.scene import Release
 
-Flight = tuple[Outcome, list[TracePoint]]
+Trial = tuple[Outcome, list[TracePoint]]
 
 WIDTH_IN = 10.0
 # Colour and marker of each policy in all pictures. Those of `FIVE` are of Okabe and Ito's palette.
@@ -49,16 +49,14 @@ PATH: dict[str, Any] = {"color": INK, "linewidth": 1.2, "marker": ".", "markersi
 # (figure, label, scale).
 PANELS = (("ceased", "ceased, %", 100.0), ("mtd_m", "MTD, m", 1.0), ("search_time_s", "ST, s", 1.0))
 COLOURS = ("#0072b2", "#d55e00", "#009e73")
-NAMED = (("position", "UAV", COLOURS[0]), ("mean", "belief mean", COLOURS[1]))
+PATHS = (("position", "UAV", COLOURS[0]), ("mean", "belief mean", COLOURS[1]))
 LAST_STEPS = 10
 APART_IN = 0.025  # distance between the points of two policies at one setting
 LEAST_DISTANCE_M = 0.05  # shorter distances are drawn at this value
 
 
 def compared(policies: Sequence[str]) -> list[str]:
-    """Return the policies that one picture shows: all of five or fewer, else the five and those that do
-    not ship.
-    """
+    """Return the policies that one picture shows: up to five, else `FIVE` and those that do not ship."""
     if len(policies) <= len(FIVE):
         return list(policies)
     return [policy for policy in policies if policy in FIVE or policy not in OURS] or list(
@@ -157,7 +155,7 @@ def _unstretched(height: Array) -> Array:
     return 101 - 10**-height
 
 
-def trajectories(flights: Sequence[Flight]) -> Figure:
+def trajectories(flights: Sequence[Trial]) -> Figure:
     """One panel per policy, all on one scenario."""
     columns = 3
     rows = -(-(len(flights) + 1) // columns)  # the last panel is the legend's
@@ -200,13 +198,11 @@ def _verdict(result: Outcome) -> str:
     return f"{verdict}, {result.distance_m:.0f} m"
 
 
-def many(flights: Sequence[Flight]) -> Figure:
-    """Paths of UAV and belief mean in many missions, with the source at the origin; below, their last
-    steps.
-    """
+def many(flights: Sequence[Trial]) -> Figure:
+    """Paths of UAV and belief mean in many missions, with the source at the origin; below, the last steps."""
     figure = Figure(figsize=(WIDTH_IN, 9.6), layout="constrained")
     grid = figure.subplots(2, 2, sharex="row", sharey="row")
-    for (whole, last), (name, what, colour) in zip(grid.T, NAMED, strict=True):
+    for (whole, last), (name, what, colour) in zip(grid.T, PATHS, strict=True):
         for result, trace in flights:
             assert result.source is not None
             path = _places(trace, name) - result.source
@@ -231,9 +227,8 @@ def many(flights: Sequence[Flight]) -> Figure:
     return figure
 
 
-def distances(flights: Sequence[Flight]) -> Figure:
-    """Distances at each step of many missions with median and quartiles, and the number of missions still
-    flying.
+def distances(flights: Sequence[Trial]) -> Figure:
+    """Distances at each step of many missions, and the number of missions still flying.
 
     Median and quartiles include ended missions with their last distance.
     """

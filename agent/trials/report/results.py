@@ -62,7 +62,8 @@ class Results:
         )
 
     def best(self, setting: Setting, of: Collection[str]) -> str | None:
-        """Return the policy with the lowest MTD among those within one point of the highest ceased share;
+        """Return the policy with the lowest MTD within one point of the highest ceased share.
+
         None if none ceased.
         """
         said = {

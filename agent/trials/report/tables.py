@@ -83,9 +83,7 @@ def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
 
 
 def against_paper(results: Results) -> Table:
-    """Return the paper's figures with ours of the same meaning, at the paper's setting as far as it is
-    stated.
-    """
+    """Return the paper's figures with ours of the same meaning, at the setting that it states."""
     rows = []
     below = []
     for it in PUBLISHED:
