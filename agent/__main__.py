@@ -91,21 +91,18 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
         if command in arguments:
             _module(command).add_arguments(other)
     args = parser.parse_args(arguments)
-    chosen = commands.choices[args.command] if args.command else parser
     try:
         if args.command in ("rollout", "evaluate"):
             from estimator.options import criteria, knowledge
 
             args.knowledge, args.stops = knowledge(args), criteria(args)
-        if args.command is None:
+        if args.command in (None, "rollout"):
             args.reach = reach(args.policy, cli.reach_given(args), args.area)
             args.scripted = {
                 step: point for text in args.waypoints for step, point in waypoints(text, args.reach).items()
             }
-        elif args.command == "rollout":
-            reach(args.policy, cli.reach_given(args))
     except ValueError as error:
-        chosen.error(str(error))
+        (commands.choices[args.command] if args.command else parser).error(str(error))
     return args
 
 

@@ -143,7 +143,6 @@ def _layers(graph: Any, flowing: str, size: int, weights: dict[str, Array]) -> I
 
 
 def _product(node: Any, weights: Array, biases: Array | None = None) -> Layer:
-    """Return the layer of a Gemm."""
     settings = {attribute.name: attribute for attribute in node.attribute}
     if weights.ndim != 2:
         raise GraphError(f"has a Gemm with weights of {list(weights.shape)}; wanted a matrix")
@@ -154,12 +153,11 @@ def _product(node: Any, weights: Array, biases: Array | None = None) -> Layer:
         biases = np.zeros(1, np.float32)
     if biases.size not in (1, weights.shape[1]) or biases.shape not in ((), (biases.size,), (1, biases.size)):
         raise GraphError(f"has a Gemm with biases of {list(biases.shape)}; wanted [{weights.shape[1]}]")
-    every = np.float32(share) * biases.ravel() + np.zeros(weights.shape[1], np.float32)
-    return Layer(node.op_type, np.ascontiguousarray(weights), every, scale)
+    biases = np.float32(share) * biases.ravel() + np.zeros(weights.shape[1], np.float32)
+    return Layer(node.op_type, np.ascontiguousarray(weights), biases, scale)
 
 
 def _array(tensor: Any) -> Array:
-    """Return the array of a weight."""
     if tensor.data_location or tensor.external_data:
         raise GraphError(
             f"weights {_shown(tensor.name)} lie in another file; wanted all of them in the graph"
@@ -182,7 +180,6 @@ def _array(tensor: Any) -> Array:
 
 
 def _check(node: Any) -> None:
-    """Check a node's operator and attributes."""
     if node.op_type not in OPERATORS or node.domain not in ("", "ai.onnx"):
         operator = f"{node.domain}.{node.op_type}".lstrip(".")
         raise GraphError(f"uses the operator {_shown(operator)}; allowed are {', '.join(OPERATORS)}")

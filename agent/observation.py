@@ -291,7 +291,8 @@ def _polar_of_missions(
     frames: Array,
     results: NDArray[np.float32],
 ) -> None:
-    x, y, sent = np.empty((3, particles.shape[2]))
+    rows = np.empty((3, particles.shape[2]))
+    x, y, sent = rows[0], rows[1], rows[2]  # unpacked, numba would not know them for contiguous
     for b in missions:
         _as_sent(particles[b], weights[b], totals[b], x, y, sent)
         _polar(x, y, sent, facts[b], frames[b], results[b])

@@ -70,8 +70,17 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
     from estimator.filter import Config  # loads or compiles the kernels, so only for a good command line
     from estimator.service import run
 
-    told = (args.seed, args.rate, args.diffusivity, args.lifetime, args.area)
-    config = Config(args.particles, stop.threshold_m, *told, within=stop.within, **known)
+    config = Config(
+        args.particles,
+        stop.threshold_m,
+        args.seed,
+        args.rate,
+        args.diffusivity,
+        args.lifetime,
+        args.area,
+        within=stop.within,
+        **known,
+    )
     with Bus(
         "estimator", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True
     ) as bus:

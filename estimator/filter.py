@@ -64,7 +64,6 @@ class Config:
     """(R, P): the search stops when at least the share P of the belief lies within R m of the estimate."""
 
     def __post_init__(self) -> None:
-        """Refuse bad assumptions, sensors, priors and limits."""
         if not isinstance(self.sensor, Sensor):
             raise TypeError(
                 f"sensor {self.sensor!r} is not allowed; wanted a sensor, such as "

@@ -61,15 +61,11 @@ def run(bus: Bus, config: Config, system: int | None) -> None:
 
 def _judge(bus: Bus, said: Belief, config: Config) -> None:
     """Warn while no stop would be honest: once a reason in the log, and in health as long as it lasts."""
-    found = warning(said, config)
-    if found is None:
-        bus.tally.warnings = ()
-        return
-    reason, question = found
+    reason, question = warning(said, config) or ("", "")
     before = "".join(bus.tally.warnings)
-    if before.partition(" (")[0] != reason.partition(" (")[0]:
+    if reason and before.partition(" (")[0] != reason.partition(" (")[0]:
         bus.log.warning(f"{reason}: {question}")
-    bus.tally.warnings = (reason,)
+    bus.tally.warnings = (reason,) if reason else ()
 
 
 def _begin(bus: Bus, config: Config) -> None:

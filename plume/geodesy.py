@@ -19,7 +19,8 @@ def to_global(home_lat_deg: float, home_lon_deg: float, north_m: float, east_m: 
         math.sin(arc) * math.sin(bearing),
         math.cos(lat0) * math.cos(arc) - math.sin(lat0) * math.sin(arc) * math.cos(bearing),
     )
-    return math.degrees(lat), _wrapped_deg(home_lon_deg + math.degrees(turn))
+    lon_deg = home_lon_deg + math.degrees(turn)
+    return math.degrees(lat), lon_deg if abs(lon_deg) <= 180.0 else math.remainder(lon_deg, 360.0)
 
 
 def to_local(home_lat_deg: float, home_lon_deg: float, lat_deg: float, lon_deg: float) -> tuple[float, float]:
@@ -44,7 +45,3 @@ def home_from(
     """
     north, east = to_local(origin[0], origin[1], home[0], home[1])
     return north, east, origin[2] - home[2]
-
-
-def _wrapped_deg(longitude: float) -> float:
-    return longitude if -180.0 <= longitude <= 180.0 else math.remainder(longitude, 360.0)

@@ -31,7 +31,6 @@ class Keyed:
     """One generator that can be set to any key: the draws of `keyed` in a fifth of the time."""
 
     def __init__(self) -> None:
-        """Create a generator; `at` sets its key."""
         self._bits = np.random.Philox(0)
         self._generator = np.random.Generator(self._bits)
         self._state = self._bits.state

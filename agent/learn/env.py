@@ -61,7 +61,6 @@ class Settings:
     stop: str | None = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError on a value that is not allowed."""
         if not isinstance(self.continuous, bool | np.bool_):
             raise ValueError(f"continuous {self.continuous!r} is not allowed; wanted True or False")
         for name, names in (

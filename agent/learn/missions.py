@@ -50,7 +50,8 @@ class Missions:
         self._sources = np.empty((count, 2))
         self._noise = Keyed()
         self._world = world
-        self._worlds = [World(draw(seed), seed, name=world) for seed in self.seeds.tolist()]
+        # For judging and showing only.
+        self.worlds = [World(draw(seed), seed, name=world) for seed in self.seeds.tolist()]
         self._batch = Batch([self._told(mission) for mission in range(count)], threads)
         self._read(np.arange(count))
 
@@ -58,7 +59,7 @@ class Missions:
         """Replace these missions by missions of other seeds."""
         self.seeds[missions] = seeds
         for mission, seed in zip(missions.tolist(), seeds, strict=True):
-            self._worlds[mission] = World(draw(seed), seed, name=self._world)
+            self.worlds[mission] = World(draw(seed), seed, name=self._world)
             self._batch.begin(mission, self._told(mission))
         self._read(missions)
 
@@ -82,11 +83,6 @@ class Missions:
         """Whether the estimate is within the success radius; for judging only."""
         errors_m: Array = np.sqrt(np.square(self.estimates - self._sources).sum(axis=1))
         return errors_m <= SUCCESS_RADIUS_M
-
-    @property
-    def worlds(self) -> Sequence[World]:
-        """The world of each mission; for judging and showing only."""
-        return self._worlds
 
     def measurement(self, mission: int) -> Measurement:
         """Return a mission's newest reading and the belief after it.
@@ -120,7 +116,7 @@ class Missions:
 
     def _told(self, mission: int) -> Config:
         """Set a mission to the start of its world; returns its estimator's configuration."""
-        world, seed = self._worlds[mission], int(self.seeds[mission])
+        world, seed = self.worlds[mission], int(self.seeds[mission])
         scenario = world.scenario
         self.steps[mission], self.distances_m[mission], self.ceased[mission] = 0, 0.0, False
         self.positions[mission], self._sources[mission] = world.start, world.truth.source
@@ -140,7 +136,7 @@ class Missions:
         """Take a reading in each of these missions; update beliefs, observations and stops."""
         facts = self.facts
         facts[missions, : observation.GAS] = self.positions[missions]
-        worlds = [self._worlds[mission] for mission in missions.tolist()]
+        worlds = [self.worlds[mission] for mission in missions.tolist()]
         facts[missions, observation.GAS] = gas_of(
             worlds, self.positions[missions], self.steps[missions].tolist(), self._noise
         )

@@ -121,13 +121,10 @@ def wilson(hits: int, of: int) -> Interval:
     return Interval(p, max(middle - half, 0.0), min(middle + half, 1.0))
 
 
-def mean(samples: Array) -> Array:
-    """Mean of each of R samples (R, n): (R,)."""
-    return np.asarray(samples.mean(axis=1))
-
-
-def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Interval:
-    """A statistic of values (n, …) and its percentile interval; NaN for no values.
+def bootstrap(
+    values: Array, statistic: Callable[[Array], Array] = lambda samples: np.asarray(samples.mean(axis=1))
+) -> Interval:
+    """A statistic of values (n, …), by default the mean, and its percentile interval; NaN for no values.
 
     `statistic` maps samples (R, n, …) to (R,).
     """
@@ -180,8 +177,9 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
         "particles": first.particles,
         "threshold_m": first.threshold_m,
         "world": first.world,
+        "assume": first.assume,
+        "stop": first.criterion,
     }
-    summary |= {"assume": first.assume, "stop": first.criterion}
     for name, interval in intervals.items():
         known = not math.isnan(interval.value)
         summary[name] = interval.value if known else None

@@ -66,7 +66,6 @@ class Sweep:
         return len(self.seeds) * len(self.policies) * len(self.particles) * len(self.worlds)
 
     def __contains__(self, flight: "Flight") -> bool:
-        """Whether the sweep includes a flight."""
         policy, particles, seed, world = flight
         return (
             policy in self.policies
@@ -114,14 +113,11 @@ def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
 def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
     """The information floor of a mission at each ζ, m, where docs/floor.md defines it."""
     config = ready.config
-    if config.sensor != GAUSSIAN or config.effective_priors or config.stop_limits:
-        return {}
-    if sweep.moves.get("step", STEP_M) != STEP_M:
+    as_defined = config.sensor == GAUSSIAN and sweep.moves.get("step", STEP_M) == STEP_M
+    if not as_defined or config.effective_priors or config.stop_limits:
         return {}
     thresholds_m = [stop.threshold_m for stop in sweep.stops if not stop.within]
-    floors = floors_m(
-        ready.scenario, [threshold_m for threshold_m in thresholds_m if threshold_m >= LEAST_THRESHOLD_M]
-    )
+    floors = floors_m(ready.scenario, [limit for limit in thresholds_m if limit >= LEAST_THRESHOLD_M])
     return {threshold_m: floor_m for threshold_m, floor_m in floors.items() if math.isfinite(floor_m)}
 
 
@@ -302,9 +298,8 @@ def _on_cores(
 def code() -> str:
     """Digest of our sources and of the numpy and numba versions."""
     digest = hashlib.blake2b(f"{np.__version__} {numba.__version__}".encode(), digest_size=8)
-    root = Path(__file__).parents[2]
     for package in PACKAGES:
-        for path in sorted((root / package).rglob("*.py")):
+        for path in sorted((Path(__file__).parents[2] / package).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
