@@ -127,20 +127,17 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
     hidden = len(results.policies) - len(drawing.compared(results.policies))
     if hidden:
         curves += f" {hidden} more policies are in the tables."
-    keys = [key for key in results.rows if key[1].threshold_m == results.threshold_m]
-    yield (
-        "particles",
-        "Figures by number of particles",
-        f"ζ = {results.threshold_m:g} m, assume {results.assume}; {results.behind(keys)}. {curves}",
-        drawing.against_particles(results),
-    )
-    keys = [key for key in results.rows if key[1].particles == results.particles]
-    yield (
-        "thresholds",
-        "Figures by threshold ζ",
-        f"N = {results.particles:,}, assume {results.assume}; {results.behind(keys)}. {curves}",
-        drawing.against_thresholds(results),
-    )
+    for name, title, axis, at in (
+        ("particles", "Figures by number of particles", "particles", f"ζ = {results.threshold_m:g} m"),
+        ("thresholds", "Figures by threshold ζ", "threshold_m", f"N = {results.particles:,}"),
+    ):
+        behind = results.behind(results.along(axis))
+        yield (
+            name,
+            title,
+            f"{at}, assume {results.assume}; {behind}. {curves}",
+            drawing.against(results, axis),
+        )
     setting = results.nearest(USUAL)
     set_to = (
         f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, assume {results.assume}, "

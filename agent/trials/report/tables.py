@@ -29,10 +29,13 @@ class Table:
 
 def tables(results: Results) -> list[Table]:
     """Return all tables of the report."""
-    by_particles = [key for key in results.rows if key[1].threshold_m == results.threshold_m]
     return [
         against_paper(results),
-        ours(results, by_particles, f"Our figures at ζ = {results.threshold_m:g} m, assume {results.assume}"),
+        ours(
+            results,
+            results.along("particles"),
+            f"Our figures at ζ = {results.threshold_m:g} m, assume {results.assume}",
+        ),
         by_threshold(results),
     ]
 
@@ -41,8 +44,7 @@ def by_threshold(results: Results) -> Table:
     """Return the share located and the distance at the usual N, one row per policy and one column per ζ."""
     found = {
         (policy, setting.threshold_m): results.figures[policy, setting]
-        for policy, setting in results.rows
-        if setting.particles == results.particles
+        for policy, setting in results.along("threshold_m")
     }
     limits_m = sorted({limit_m for _, limit_m in found})
     rows = []
