@@ -54,8 +54,8 @@ def policies() -> dict[str, str]:
 
     Example: `"homing" in plumeward.policies()` is True.
     """
-    plugged_in = {plugin.name: _about(plugin) for plugin in entry_points(group=PLUGINS)}
-    return {**{name: _first_line(module) for name, module in PLANNERS.items()}, **LEARNED, **plugged_in}
+    planned = {name: _first_line(module) for name, module in PLANNERS.items()}
+    return planned | LEARNED | {plugin.name: _about(plugin) for plugin in entry_points(group=PLUGINS)}
 
 
 def _first_line(module: str) -> str:

@@ -72,8 +72,8 @@ def _noisiest(config: Config) -> Sensor:
 
 def _likely(config: Config, name: str) -> tuple[float, float]:
     """Return `_likely_range` of a positive parameter, known or unknown."""
-    known = Fixed(float(config.prior_rows[PARAMETERS.index(name), 1]))
-    return _likely_range(config.effective_priors.get(name, known))
+    known = float(config.prior_rows[PARAMETERS.index(name), 1])
+    return _likely_range(config.effective_priors.get(name, Fixed(known)))
 
 
 def _likely_range(prior: Prior) -> tuple[float, float]:

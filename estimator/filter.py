@@ -36,32 +36,25 @@ class Config:
     """
 
     particles: int = 1000
-    threshold_m: float = 0.5
-    """ζ, m: the search stops when the spread is below it."""
+    threshold_m: float = 0.5  # ζ, m: the search stops when the spread is below it
     seed: int = 0
+    # q, g/s, unless it has a prior. The defaults of rate and diffusivity are the middle of Table 1.
     rate: float = 300.0
-    """q, g/s, unless it has a prior. The defaults of rate and diffusivity are the middle of Table 1."""
-    diffusivity: float = 4.5
-    """d, m²/s, unless it has a prior."""
-    lifetime: float = LIFETIME_S
-    """τ, s, unless it has a prior."""
-    area_m: float = AREA_M
-    """Side of the square search area, m."""
+    diffusivity: float = 4.5  # d, m²/s, unless it has a prior
+    lifetime: float = LIFETIME_S  # τ, s, unless it has a prior
+    area_m: float = AREA_M  # side of the square search area, m
+    # Priors by name of `PARAMETERS`, which replace those of `assume` one by one. x and y are uniform over the
+    # area by default. Without a prior, the source's height z is the flight height, and wind speed u and
+    # direction φ are those measured. With a prior, the measured value is ignored.
     priors: Mapping[str, Prior] = field(default_factory=dict)
-    """Priors by name of `PARAMETERS`, which replace those of `assume` one by one.
-
-    x and y are uniform over the area by default. Without a prior, the source's height z is the flight height,
-    and wind speed u and direction φ are those measured. With a prior, the measured value is ignored.
-    """
     sensor: Sensor = GAUSSIAN
+    # True if a stop requires the location to be known: the spread below ζ, or `within`.
     stop_on_location: bool = True
-    """True if a stop requires the location to be known: the spread below ζ, or `within`."""
+    # Limits by name of unknown: a stop requires its standard deviation to be below.
     stop_limits: Mapping[str, float] = field(default_factory=dict)
-    """Limits by name of unknown: a stop requires its standard deviation to be below."""
-    assume: str = "paper"
-    """What is taken to be known: a name of `estimator.assumptions.ASSUMPTIONS`."""
+    assume: str = "paper"  # what is taken to be known: a name of `estimator.assumptions.ASSUMPTIONS`
+    # (R, P): the search stops when at least the share P of the belief lies within R m of the estimate.
     within: tuple[float, float] | None = None
-    """(R, P): the search stops when at least the share P of the belief lies within R m of the estimate."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.sensor, Sensor):
@@ -154,22 +147,16 @@ class Config:
 class Posterior:
     """Weighted particles and the readings behind them; never changed, only replaced."""
 
-    particles: Array
-    """(D, N), one row per unknown."""
-    log_weights: Array
-    """(N,) up to a constant."""
-    weights: Array
-    """(N,) exp(log_weights), scaled so that the greatest is 1."""
+    particles: Array  # (D, N), one row per unknown
+    log_weights: Array  # (N,) up to a constant
+    weights: Array  # (N,) exp(log_weights), scaled so that the greatest is 1
+    # (N,) log posterior density given all readings so far, up to a constant, at each particle.
     log_targets: Array
-    """(N,) log posterior density given all readings so far, up to a constant, at each particle."""
+    # (T, 7): x, y, height, wind_x, wind_y, gas, share. The share is the exponent of the reading's likelihood.
+    # It is below 1 if the reading was too improbable to be assimilated in full.
     readings: Array
-    """(T, 7): x, y, height, wind_x, wind_y, gas, share.
-
-    The share is the exponent of the reading's likelihood. It is below 1 if the reading was too improbable to
-    be assimilated in full.
-    """
+    # (T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right.
     ranks: Array
-    """(T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right."""
 
     @property
     def sample(self) -> WeightedSample:

@@ -28,27 +28,20 @@ class Outcome(msgspec.Struct, frozen=True):
 
     seed: int
     policy: str
-    ceased: bool
-    """AGDC declared a stop within the step budget."""
+    ceased: bool  # AGDC declared a stop within the step budget
+    # Ceased, and the estimate is within the success radius of the source. None, as the next ones, if nobody
+    # knows where that is.
     located: bool | None
-    """Ceased, and the estimate is within the success radius of the source.
-
-    None, as the next ones, if nobody knows where that is.
-    """
     estimate: tuple[float, float]
     source: tuple[float, float] | None
-    scenario: Scenario | None
-    """The truth; in most worlds it differs from what the estimator assumes."""
+    scenario: Scenario | None  # the truth; in most worlds it differs from what the estimator assumes
     error_m: float | None
     spread_m: float
     steps: int
     distance_m: float
-    search_time_s: float
-    """Compute time of estimator and agent, summed over the mission."""
-    assume: str
-    """What the estimator took to be known."""
-    stop: str
-    """The stop criterion, in the form of --stop."""
+    search_time_s: float  # compute time of estimator and agent, summed over the mission
+    assume: str  # what the estimator took to be known
+    stop: str  # the stop criterion, in the form of --stop
     world: str = AS_MODELLED
 
 

@@ -10,10 +10,9 @@ from plume.parameters import GREATEST_CV, MOST
 from plume.randomness import Draws
 
 Array = NDArray[np.float64]
+# A reading this many standard deviations beyond what the strongest plume could give is absurd.
 SURPRISE = 10.0
-"""A reading this many standard deviations beyond what the strongest plume could give is absurd."""
-MANY = 12
-"""Above this many expected hits, their entropy is computed by its asymptotic series."""
+MANY = 12  # above this many expected hits, their entropy is computed by its asymptotic series
 
 _erf = np.vectorize(math.erf, otypes=[np.float64])
 _log_gamma = np.vectorize(math.lgamma, otypes=[np.float64])
@@ -69,15 +68,12 @@ class Gaussian:
     The two noises are independent and add in quadrature.
     """
 
-    sensor_noise: float = 0.3
-    """α: standard deviation as a share of the concentration."""
-    environment_noise: float = 0.2
-    """β: standard deviation in clean air, g/m³; above 0."""
+    sensor_noise: float = 0.3  # α: standard deviation as a share of the concentration
+    environment_noise: float = 0.2  # β: standard deviation in clean air, g/m³; above 0
+    # Intermittency: coefficient of variation of the gas, up to GREATEST_CV; 0 is steady gas. The
+    # concentration c is then gamma-distributed around the plume's mean with shape k = 1/cv² and scale m/k,
+    # independent from reading to reading, and z = c + v.
     cv: float = 0.0
-    """Intermittency: coefficient of variation of the gas, up to GREATEST_CV; 0 is steady gas.
-
-    The concentration c is then gamma-distributed around the plume's mean with shape k = 1/cv² and scale m/k,
-    independent from reading to reading, and z = c + v."""
 
     def noise_std(self, mean: ArrayLike) -> Array:
         """σ(m), g/m³."""
@@ -161,14 +157,10 @@ class Threshold:
     Otherwise z = m + v as in `Gaussian`, or 0 if that is below the threshold.
     """
 
-    threshold: float = 0.5
-    """g/m³; above 0."""
-    missed: float = 0.3
-    """p_m: probability of a missed detection, in [0, 1)."""
-    sensor_noise: float = 0.3
-    """α."""
-    environment_noise: float = 0.2
-    """β, g/m³."""
+    threshold: float = 0.5  # g/m³; above 0
+    missed: float = 0.3  # p_m: probability of a missed detection, in [0, 1)
+    sensor_noise: float = 0.3  # α
+    environment_noise: float = 0.2  # β, g/m³
 
     def _analog(self) -> Gaussian:
         return Gaussian(self.sensor_noise, self.environment_noise)
@@ -232,8 +224,7 @@ class Threshold:
         return f"gas {reading:g} is absurd; allowed is 0 or {self.threshold:g} to {high:g} g/m³"
 
 
-MOST_HITS = 1e15
-"""Greatest mean count: of more, numpy draws none."""
+MOST_HITS = 1e15  # greatest mean count: of more, numpy draws none
 
 
 @dataclass(frozen=True)
@@ -243,10 +234,8 @@ class Hits:
     As in Vergassola et al. 2007 and OTTO (Loisy and Eloy 2022).
     """
 
-    efficiency: float = 3.0
-    """e: expected hits per reading and g/m³; above 0."""
-    background: float = 0.1
-    """b: expected hits per reading in clean air; above 0."""
+    efficiency: float = 3.0  # e: expected hits per reading and g/m³; above 0
+    background: float = 0.1  # b: expected hits per reading in clean air; above 0
 
     def measure(
         self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None, _noise: ArrayLike = 1.0
@@ -318,8 +307,7 @@ KINDS: dict[str, type[Gaussian] | type[Threshold] | type[Hits]] = {
     "hits": Hits,
 }
 GAUSSIAN = Gaussian()
-GAUSSIAN_KIND, THRESHOLD_KIND, HITS_KIND = 0.0, 1.0, 2.0
-"""Kinds of sensors as compiled loops know them."""
+GAUSSIAN_KIND, THRESHOLD_KIND, HITS_KIND = 0.0, 1.0, 2.0  # kinds of sensors as compiled loops know them
 
 
 def parse(text: str) -> Sensor:

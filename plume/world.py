@@ -54,6 +54,7 @@ class World:
         self.sensor = sensor
         self.name = name
         self.errors = wrong = errors(name, seed)
+        # The scenario as it truly is, by which missions are judged.
         self.truth = msgspec.structs.replace(
             scenario,
             source=wrong.source or scenario.source,
@@ -63,9 +64,8 @@ class World:
             d=wrong.d * scenario.d,
             tau=wrong.tau * scenario.tau,
         )
-        """The scenario as it truly is, by which missions are judged."""
+        # (u cos φ, u sin φ) m/s, float32, as the anemometer reports it: points to where it comes from.
         self.wind = (float32(scenario.wind[0]), float32(scenario.wind[1]))
-        """(u cos φ, u sin φ) m/s, float32, as the anemometer reports it: points to where it comes from."""
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
         truth = self.truth
         self._release = (*truth.source, truth.height, *truth.wind, truth.q, truth.d, truth.tau)

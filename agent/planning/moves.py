@@ -14,14 +14,10 @@ from plume.scenario import AREA_M, STEP_M
 class Reach:
     """The moves that a planner may choose from, and its number of hypothetical readings."""
 
-    headings: int = 4
-    """Number of headings, evenly spaced; the first is east."""
-    step: float = STEP_M
-    """Length of a move, m."""
-    measurements: int = 25
-    """Hypothetical readings for each move."""
-    area_m: float = AREA_M
-    """Side of the search area, m."""
+    headings: int = 4  # number of headings, evenly spaced; the first is east
+    step: float = STEP_M  # length of a move, m
+    measurements: int = 25  # hypothetical readings for each move
+    area_m: float = AREA_M  # side of the search area, m
 
     @cached_property
     def edge(self) -> float:

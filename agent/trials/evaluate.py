@@ -295,8 +295,7 @@ def _row(said: dict[str | None, str]) -> MissionRow:
 
 
 def _open(path: Path, mode: str, *, compressed: bool) -> IO[str]:
-    opener = gzip.open if compressed else open
-    return cast(IO[str], opener(path, mode, newline=""))
+    return cast(IO[str], (gzip.open if compressed else open)(path, mode, newline=""))
 
 
 def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> None:

@@ -5,7 +5,7 @@ docs/floor.md derives it. It uses the true source, so it may judge missions but 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -169,11 +169,7 @@ def spread_m(scenario: Scenario, headings: Sequence[float]) -> float:
 def best_path(scenario: Scenario, steps: int, effort: Effort = Effort()) -> tuple[float, ...]:
     """Headings, rad, of the path found with this number of steps that leaves the least spread."""
     start, parameters = np.array(scenario.start), model(scenario)
-    return tuple(
-        _best_headings(
-            steps, start, parameters, BENDS, effort.bearings, effort.refined, effort.finest
-        ).tolist()
-    )
+    return tuple(_best_headings(steps, start, parameters, BENDS, *astuple(effort)).tolist())
 
 
 def floors_m(

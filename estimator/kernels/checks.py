@@ -29,10 +29,7 @@ def _gaussian_tails(
         residual = gas - means[i]
         half_square = 0.5 * residual * residual / (noises[i] * (slope * means[i] * means[i] + floor))
         t = 1 / (1 + 0.3275911 * math.sqrt(half_square))
-        p = t * 1.061405429 - 1.453152027
-        p = p * t + 1.421413741
-        p = p * t - 0.284496736
-        p = p * t + 0.254829592
+        p = (((t * 1.061405429 - 1.453152027) * t + 1.421413741) * t - 0.284496736) * t + 0.254829592
         tail = 0.5 * p * t * exp(-half_square)
         result[i] = 1 - tail if residual > 0 else tail
 
