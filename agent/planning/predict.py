@@ -106,11 +106,8 @@ def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
     names = _names(belief)
     known = {"z": belief.z, "q": belief.rate, "d": belief.diffusivity, "tau": belief.lifetime, **NEUTRAL}
     priors = np.zeros((len(PARAMETERS), 5))
-    priors[:, 0] = KNOWN
+    priors[:, 0] = [MEASURED if name in {"u", "phi"} - {*names} else KNOWN for name in PARAMETERS]
     priors[:, 1] = [known.get(name, 0.0) for name in PARAMETERS]
-    for name in ("u", "phi"):
-        if name not in names:
-            priors[PARAMETERS.index(name), 0] = MEASURED
     readings = np.empty((len(places), 5))
     readings[:, :2] = places
     readings[:, 2:] = belief.altitude_m, *belief.wind

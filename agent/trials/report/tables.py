@@ -43,28 +43,33 @@ def tables(results: Results) -> list[Table]:
 def by_threshold(results: Results) -> Table:
     """Return the share located and the distance at the usual N, one row per policy and one column per ζ."""
     found = {
-        (policy, setting.threshold_m): results.figures[policy, setting]
-        for policy, setting in results.along("threshold_m")
+        (key[0], key[1].threshold_m): " / ".join(
+            cell(results.figures[key], of) for of in ("located", "mtd_m")
+        )
+        for key in results.along("threshold_m")
     }
     limits_m = sorted({limit_m for _, limit_m in found})
-    rows = []
-    for policy in dict.fromkeys(policy for policy, _ in found):
-        cells = [found.get((policy, limit_m)) for limit_m in limits_m]
-        shown = (UNKNOWN if it is None else f"{cell(it, 'located')} / {cell(it, 'mtd_m')}" for it in cells)
-        rows.append([policy, *shown])
+    rows = [
+        [policy, *(found.get((policy, limit_m), UNKNOWN) for limit_m in limits_m)]
+        for policy in dict.fromkeys(policy for policy, _ in found)
+    ]
     title = f"Located, % / MTD, m, at N = {results.particles:,}, by ζ, assume {results.assume}"
     return Table(title, ["policy", *(f"{limit_m:g} m" for limit_m in limits_m)], rows, [])
 
 
 def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
     """Return our figures, one row per policy and setting."""
-    rows = []
-    for policy, setting in sorted(keys, key=lambda key: key[1]):  # policies stay in their order
-        said = results.figures[policy, setting]
-        figures = [cell(said, key) for key in COLUMNS]
-        rows.append(
-            [str(setting.particles), f"{setting.threshold_m:g}", policy, str(said["missions"]), *figures]
-        )
+    by_setting = sorted(keys, key=lambda key: key[1])  # policies stay in their order
+    rows = [
+        [
+            str(setting.particles),
+            f"{setting.threshold_m:g}",
+            policy,
+            str(results.figures[policy, setting]["missions"]),
+            *(cell(results.figures[policy, setting], figure) for figure in COLUMNS),
+        ]
+        for policy, setting in by_setting
+    ]
     notes = [
         "In brackets: 95% intervals, Wilson's for shares and bootstrap for means. *ceased*: a stop was "
         "declared within the step budget."
