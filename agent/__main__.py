@@ -12,8 +12,8 @@ import traceback
 from concurrent.futures import BrokenExecutor
 from types import ModuleType
 
+from agent import service
 from agent.policies import PolicyError, add_policy_argument, reach
-from agent.service import waypoints
 from link import cli
 from link.bus.session import Bus
 from plume.randomness import MAX_SEED
@@ -99,7 +99,9 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
         if args.command in (None, "rollout"):
             args.reach = reach(args.policy, cli.reach_given(args), args.area)
             args.scripted = {
-                step: point for text in args.waypoints for step, point in waypoints(text, args.reach).items()
+                step: point
+                for text in args.waypoints
+                for step, point in service.waypoints(text, args.reach).items()
             }
     except ValueError as error:
         (commands.choices[args.command] if args.command else parser).error(str(error))
@@ -128,12 +130,10 @@ def _rollout(args: argparse.Namespace) -> None:
 
 
 def _serve(args: argparse.Namespace) -> None:
-    from agent.service import run
-
     with Bus(
         "agent", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True
     ) as bus:
-        run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, args.scripted)
+        service.run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, args.scripted)
 
 
 def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> int | None:

@@ -5,7 +5,7 @@ Flying a bundle needs neither torch nor pickle: a file from a stranger can only 
 
 import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 from agent.planning.moves import Headings, Move, Reach
 from link.bus.messages import Belief, Particles
 from plume.elementary import Array
-
-if TYPE_CHECKING:
-    from agent.observation import Schema
 
 FORMAT = 1
 GRAPH, PAGE = "policy.onnx", "bundle.json"
@@ -68,10 +65,17 @@ class Bundle:
 
         Raises BundleError if it does not match its page, or this version of the project.
         """
-        from agent import graphs  # compiles, as the schema does
+        from agent import graphs  # both compile: a bundle that is only looked into does not need them
+        from agent.observation import SCHEMAS
 
-        self.page = page
-        self._schema = _schema_of(page)
+        if page.schema not in SCHEMAS:
+            raise BundleError(f"observation {page.schema[:60]!r} is not known; wanted {' or '.join(SCHEMAS)}")
+        self.page, self._schema = page, SCHEMAS[page.schema]
+        if (page.schema_version, page.observation) != (self._schema.version, self._schema.size):
+            raise BundleError(
+                f"observation {page.schema!r} version {page.schema_version} of {page.observation} numbers; "
+                f"wanted version {self._schema.version} of {self._schema.size}: train it anew"
+            )
         _check(page.move)
         try:
             self._layers = graphs.read(data, page.observation)
@@ -107,20 +111,6 @@ class Bundle:
         action = move.action(self.said(observation))
         x, y = move.waypoints(np.array([belief.position]), frame[None], action, reach.area_m)[0].tolist()
         return x, y
-
-
-def _schema_of(page: Page) -> "Schema":
-    from agent.observation import SCHEMAS  # compiles: a bundle that is only looked into does not need it
-
-    schema = SCHEMAS.get(page.schema)
-    if schema is None:
-        raise BundleError(f"observation {page.schema[:60]!r} is not known; wanted {' or '.join(SCHEMAS)}")
-    if (page.schema_version, page.observation) != (schema.version, schema.size):
-        raise BundleError(
-            f"observation {page.schema!r} version {page.schema_version} of {page.observation} numbers; "
-            f"wanted version {schema.version} of {schema.size}: train it anew"
-        )
-    return schema
 
 
 def _check(move: Move) -> None:

@@ -26,10 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from link.bus.messages import Belief, Particles
-from plume import elementary
 from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.elementary import Array, Indices
+from plume.elementary import Array, Indices, direction
 from plume.numerics import exp, log, log1p, total_of
 from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
 from plume.sensor import GAUSSIAN
@@ -72,8 +71,8 @@ BOUND = 10.0
 
 STEEPNESS = GAUSSIAN.sensor_noise / GAUSSIAN.environment_noise  # α/β
 INVERSE_NOISE_SQUARED = 1 / (GAUSSIAN.sensor_noise * GAUSSIAN.sensor_noise)  # 1/α²
-TANGENTS = np.divide(*reversed(elementary.direction(np.array([1, 3, 5, 7]) / 32)))
-COSINES, SINES = elementary.direction(np.arange(HEADINGS) / HEADINGS)
+TANGENTS = np.divide(*reversed(direction(np.array([1, 3, 5, 7]) / 32)))
+COSINES, SINES = direction(np.arange(HEADINGS) / HEADINGS)
 
 
 @subroutine

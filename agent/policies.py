@@ -12,8 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from agent.planners import registry as planners
-from agent.planners.registry import PLANNERS
+from agent.planners import registry
 from agent.planning.moves import Reach
 from link import cli
 from link.bus.messages import Belief, Particles
@@ -31,7 +30,7 @@ LEARNED = {
 }
 # Learned policies that come with the project, made by `make train`.
 SHIPPED = {name: Path(__file__).parent / "bundles" / f"{name}.zip" for name in LEARNED}
-OURS = (*PLANNERS, *SHIPPED)  # the policies of the project, in the order of its tables
+OURS = (*registry.PLANNERS, *SHIPPED)  # the policies of the project, in the order of its tables
 DEFAULT = "homing"  # the best policy that needs no training
 PLUGINS = "plumeward.policies"  # entry points of this group are policies of other packages: docs/policies.md
 
@@ -54,7 +53,7 @@ def policies() -> dict[str, str]:
 
     Example: `"homing" in plumeward.policies()` is True.
     """
-    planned = {name: _first_line(module) for name, module in PLANNERS.items()}
+    planned = {name: _first_line(module) for name, module in registry.PLANNERS.items()}
     return planned | LEARNED | {plugin.name: _about(plugin) for plugin in entry_points(group=PLUGINS)}
 
 
@@ -77,7 +76,7 @@ def check(name: str) -> None:
 
     The policy is not loaded, which may take seconds.
     """
-    if name in PLANNERS:
+    if name in registry.PLANNERS:
         return
     if path := bundle_path(name):
         from agent.bundle import BundleError, read
@@ -96,7 +95,7 @@ def check(name: str) -> None:
 def policy(name: str) -> Policy:
     """Return the policy of a name or a file. Raises ValueError with what is wrong and what is allowed."""
     check(name)
-    if name in PLANNERS:
+    if name in registry.PLANNERS:
         return _planned(name)
     if path := bundle_path(name):
         from agent.bundle import BundleError, load
@@ -148,7 +147,7 @@ def _plugged_in(name: str, plugins: Sequence[EntryPoint]) -> Policy:
 
 
 def _planned(name: str) -> Policy:
-    plan = planners.planner(name)
+    plan = registry.planner(name)
 
     def waypoint(
         belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator
@@ -163,8 +162,8 @@ def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: 
 
     Raises ValueError.
     """
-    if name in PLANNERS:
-        return planners.reach(name, {**given, "area_m": area_m})
+    if name in registry.PLANNERS:
+        return registry.reach(name, {**given, "area_m": area_m})
     if bundle_path(name):
         if given:
             flags = ", ".join(f"--{flag}" for flag in given)

@@ -9,12 +9,11 @@ from functools import cached_property
 
 import numpy as np
 
-from estimator import priors
 from estimator.assumptions import effective_priors
 from estimator.criterion import Criterion
 from estimator.kernels.densities import Model, log_priors
 from estimator.kernels.update import WeightedSample, update
-from estimator.priors import Prior, Uniform
+from estimator.priors import Prior, Uniform, draw, table
 from link.bus.mavlink import Reading
 from plume.elementary import Array, Indices
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS
@@ -98,7 +97,7 @@ class Config:
         everywhere = Uniform(0.0, self.area_m)
         cv = self.sensor.cv if isinstance(self.sensor, Gaussian) else 0.0
         known = {"q": self.rate, "d": self.diffusivity, "tau": self.lifetime, "z": 0.0, **NEUTRAL, "cv": cv}
-        return priors.table({"x": everywhere, "y": everywhere, **self.effective_priors}, known, self.area_m)
+        return table({"x": everywhere, "y": everywhere, **self.effective_priors}, known, self.area_m)
 
     @cached_property
     def unknown_indices(self) -> Indices:
@@ -172,7 +171,7 @@ def prior(config: Config) -> Posterior:
         metres.
     """
     count = config.particles
-    particles = priors.draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
+    particles = draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
     log_targets = log_priors(particles, config.model)
     return Posterior(particles, np.zeros(count), np.ones(count), log_targets, np.empty((0, 7)), np.empty(0))
 

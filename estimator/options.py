@@ -8,7 +8,6 @@ import numpy as np
 
 from estimator import criterion
 from estimator.assumptions import effective_priors, unknowns
-from estimator.criterion import Criterion
 from estimator.priors import Fixed, Prior, draw, parse, table
 from link import cli
 from plume import sensor
@@ -32,13 +31,17 @@ def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
     cli.completed(kind, lambda: sensor.KINDS)
 
 
-def criteria(args: argparse.Namespace) -> list[Criterion]:
+def criteria(args: argparse.Namespace) -> list[criterion.Criterion]:
     """Return the stop criteria of --threshold or --stop, several where a command takes several.
 
     Raises ValueError with what is allowed.
     """
     if args.stop is None:
-        return [*map(Criterion, args.threshold if isinstance(args.threshold, list) else [args.threshold])]
+        return [
+            *map(
+                criterion.Criterion, args.threshold if isinstance(args.threshold, list) else [args.threshold]
+            )
+        ]
     texts = [args.stop] if isinstance(args.stop, str) else args.stop
     try:
         return list(dict.fromkeys(map(criterion.parse, texts)))

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import observation
-from agent.observation import FACTS, SCHEMAS
 from estimator.batch import Batch
 from estimator.criterion import Criterion
 from estimator.filter import Config
@@ -36,7 +35,7 @@ class Missions:
     ) -> None:
         """Begin the mission of each seed in the world of this name and take its first reading."""
         count = len(seeds)
-        self._schema = SCHEMAS[schema]
+        self._schema = observation.SCHEMAS[schema]
         self._particles, self._criterion, self._assume = particles, criterion, assume
         self.seeds = np.array(seeds, np.int64)
         self.steps = np.zeros(count, np.int64)
@@ -46,7 +45,7 @@ class Missions:
         self.ceased = np.zeros(count, np.bool_)
         self.frames = np.empty((count, 3))  # of the observations, in which actions are given
         self.observations = np.empty((count, self._schema.size), np.float32)
-        self.facts = np.empty((count, len(FACTS)))  # what is known of each mission
+        self.facts = np.empty((count, len(observation.FACTS)))  # what is known of each mission
         self._sources = np.empty((count, 2))
         self._noise = Keyed()
         self._world = world

@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, TextIO, cast
+from typing import IO, Any, TextIO, cast
 
 import msgspec
 
@@ -29,9 +29,6 @@ from link.terminal import Column, table, tell, width_of
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
 from plume.worlds import AS_MODELLED, WORLDS, check
-
-if TYPE_CHECKING:
-    from agent.trials.sweep import Sweep
 
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
@@ -138,20 +135,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly the missions and print their figures; returns the exit status. Raises BadInput."""
-    # Here, and below: they load the kernels, which help does not need.
-    from agent.trials.cluster import ClusterError, join
-    from agent.trials.sweep import Sweep
-
-    sweep = Sweep(
-        args.policy,
-        range(args.first_seed, args.first_seed + args.scenarios),
-        args.particles,
-        args.stops,
-        args.budget,
-        cli.reach_given(args),
-        args.knowledge,
-        worlds=args.world,
-    )
     try:
         for name in args.policy:
             reach(name, cli.reach_given(args))
@@ -167,19 +150,27 @@ def run(args: argparse.Namespace) -> int:
             there = read_csv(args.missions)
     except (OSError, ValueError) as error:
         raise cli.BadInput(f"--missions: {error}") from error
-    try:
-        if args.ray:
-            tell(f"joining the Ray cluster at {args.ray}")
-            join(args.ray)
-        return _evaluate(sweep, there, args)
-    except ClusterError as error:
-        raise cli.BadInput(f"--ray: {error}") from error
+    return _evaluate(there, args)
 
 
-def _evaluate(sweep: "Sweep", there: Sequence[MissionRow], args: argparse.Namespace) -> int:
-    from agent.trials.cluster import on_cluster
-    from agent.trials.sweep import complete, flown, journal_of, kept, on_cores
+def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
+    # Here, because they load the kernels, which help does not need.
+    from agent.trials.cluster import join, on_cluster
+    from agent.trials.sweep import Sweep, complete, flown, journal_of, kept, on_cores
 
+    if args.ray:
+        tell(f"joining the Ray cluster at {args.ray}")
+        join(args.ray)
+    sweep = Sweep(
+        args.policy,
+        range(args.first_seed, args.first_seed + args.scenarios),
+        args.particles,
+        args.stops,
+        args.budget,
+        cli.reach_given(args),
+        args.knowledge,
+        worlds=args.world,
+    )
     journal = journal_of(sweep, KEPT_IN)
     workers = f"{args.workers} worker{'s' * (args.workers > 1)}"
     flyer, starting = (
