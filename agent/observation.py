@@ -254,17 +254,6 @@ def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, resul
         result[POLAR_SIZE - NUMBERS + k] = min(max(numbers[k], -BOUND), BOUND)
 
 
-@subroutine
-def _as_sent(particles: Array, weights: Array, total: float, x: Array, y: Array, sent: Array) -> None:
-    """Fill x, y and `sent` with particles (2, N) and normalised weights as on the wire: float32 values."""
-    for i in range(len(x)):
-        x[i], y[i], sent[i] = (
-            np.float32(particles[0, i]),
-            np.float32(particles[1, i]),
-            np.float32(weights[i] / total),
-        )
-
-
 @kernel(SEE_MISSIONS, nogil=True)
 def _paper_of_missions(
     _particles: Array,
@@ -293,7 +282,9 @@ def _polar_of_missions(
     rows = np.empty((3, particles.shape[2]))
     x, y, sent = rows[0], rows[1], rows[2]  # unpacked, numba would not know them for contiguous
     for b in missions:
-        _as_sent(particles[b], weights[b], totals[b], x, y, sent)
+        for i in range(len(x)):  # float32 values, as on the wire
+            x[i], y[i] = np.float32(particles[b, 0, i]), np.float32(particles[b, 1, i])
+            sent[i] = np.float32(weights[b, i] / totals[b])
         _polar(x, y, sent, facts[b], frames[b], results[b])
 
 

@@ -38,6 +38,9 @@ class Batch:
         self.covariances = np.empty((count, rows, rows))
         self.counts = np.zeros(count, np.int64)  # of the readings that each mission has assimilated
         self._samples = WeightedSample(np.empty((count, rows, particles)), *np.empty((3, count, particles)))
+        # (B, D, N) and (B, N), of which the greatest of each mission is 1.
+        self.particles, self.weights = self._samples.particles, self._samples.weights
+        self.unknowns = first.unknowns  # in the order of the particles' rows
         self._models = Model(
             first.unknown_indices, np.empty((count, *first.prior_rows.shape)), np.empty((count, 5))
         )
@@ -53,8 +56,7 @@ class Batch:
 
         Raises ValueError if its number of particles or its unknowns differ.
         """
-        first = self._configs[0]
-        if (config.particles, config.unknowns) != (first.particles, first.unknowns):
+        if (config.particles, config.unknowns) != (self.particles.shape[2], self.unknowns):
             raise ValueError(
                 "all missions of a batch must have the same number of particles and the same unknowns"
             )
@@ -62,16 +64,6 @@ class Batch:
             stacked[mission] = array
         self._models.priors[mission], self._models.sensor[mission] = config.model.priors, config.model.sensor
         self.counts[mission], self._seeds[mission], self._configs[mission] = 0, config.seed, config
-
-    @property
-    def particles(self) -> Array:
-        """(B, D, N)."""
-        return self._samples.particles
-
-    @property
-    def weights(self) -> Array:
-        """(B, N); the greatest of each mission is 1."""
-        return self._samples.weights
 
     def assimilate(self, readings: Array, missions: Indices | None = None) -> None:
         """Assimilate one reading for each of these missions (M,), by default all.
@@ -107,11 +99,6 @@ class Batch:
             return
         portion = min(MISSIONS_PER_TASK, -(-len(missions) // self._threads))
         list(self._pool.map(task, np.split(missions, range(portion, len(missions), portion))))
-
-    @property
-    def unknowns(self) -> tuple[str, ...]:
-        """Names of the unknowns, in the order of the particles' rows."""
-        return self._configs[0].unknowns
 
     def may_claim(self, mission: int) -> bool:
         """True if the mission may claim a find, as by `estimator.belief.may_claim`."""

@@ -52,6 +52,7 @@ class Missions:
         # For judging and showing only.
         self.worlds = [World(draw(seed), seed, name=world) for seed in self.seeds.tolist()]
         self._batch = Batch([self._told(mission) for mission in range(count)], threads)
+        self.estimates = self._batch.means[:, :2]  # (B, 2) m, which changes with the batch
         self._read(np.arange(count))
 
     def begin(self, missions: Indices, seeds: Sequence[int]) -> None:
@@ -71,11 +72,6 @@ class Missions:
         self.distances_m += np.sqrt(np.square(waypoints - self.positions).sum(axis=1))
         self.positions[:] = waypoints
         self._read(np.arange(len(self.steps)))
-
-    @property
-    def estimates(self) -> Array:
-        """(B, 2) m."""
-        return self._batch.means[:, :2]
 
     @property
     def located(self) -> NDArray[np.bool_]:

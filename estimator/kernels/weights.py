@@ -24,6 +24,13 @@ def _greatest(values: Array) -> float:
     return float(max(max(a, b), max(c, d)))
 
 
+@kernel("float64(float64[::1])")
+def effective_sample_size(weights: Array) -> float:
+    """Effective sample size (Σ w)² / Σ w² of weights (N,), which need not be normalised."""
+    total = total_of(weights)
+    return total * total / dot(weights, weights)
+
+
 @subroutine
 def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array) -> float:
     """Set weights ∝ exp(log_weights + share · log_densities), scaled so that the greatest is 1.
@@ -35,8 +42,7 @@ def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array
     highest = _greatest(weights)
     for i in range(len(weights)):
         weights[i] = exp(weights[i] - highest)
-    total = total_of(weights)
-    return total * total / dot(weights, weights)
+    return effective_sample_size(weights)
 
 
 @subroutine
@@ -63,13 +69,6 @@ def tempered_share(
         else:
             return middle, size
     return high, weigh(log_weights, high, log_densities, weights)
-
-
-@kernel("float64(float64[::1])")
-def effective_sample_size(weights: Array) -> float:
-    """Effective sample size (Σ w)² / Σ w² of weights (N,), which need not be normalised."""
-    total = total_of(weights)
-    return total * total / dot(weights, weights)
 
 
 @kernel("float64(float64[::1], float64[::1])")
