@@ -68,7 +68,5 @@ def direction(turns: ArrayLike) -> tuple[Array, Array]:
     s = x * _polynomial(
         z, -1 / 1307674368000, 1 / 6227020800, -1 / 39916800, 1 / 362880, -1 / 5040, 1 / 120, -1 / 6, 1
     )
-    quarter = quarters % 4
-    cosine = np.select([quarter == 0, quarter == 1, quarter == 2], [c, -s, -c], s)
-    sine = np.select([quarter == 0, quarter == 1, quarter == 2], [s, c, -s], -c)
-    return cosine, sine
+    first_three = [quarters % 4 == quarter for quarter in (0, 1, 2)]
+    return np.select(first_three, [c, -s, -c], s), np.select(first_three, [s, c, -s], -c)

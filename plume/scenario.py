@@ -51,8 +51,7 @@ def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:
     Example:
         `plumeward.draw(7).source` is where the source of mission 7 is, (x, y) in metres.
     """
-    rng = keyed(seed, "scenario")
     low = np.array([SOURCE_LOW_M, SOURCE_LOW_M, 100.0, 1.0, 0.0, 1.0, 0.0, 0.0])
     high = np.array([SOURCE_HIGH_M, SOURCE_HIGH_M, 500.0, 4.0, 2 * np.pi, 8.0, 5.0, 5.0])
-    x, y, q, u, phi, d, start_x, start_y = uniform(rng, low, high).tolist()
+    x, y, q, u, phi, d, start_x, start_y = uniform(keyed(seed, "scenario"), low, high).tolist()
     return Scenario(source=(x, y), q=q, u=u, phi=phi, d=d, tau=lifetime_s, start=(start_x, start_y))

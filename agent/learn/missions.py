@@ -131,9 +131,11 @@ class Missions:
         """Take a reading in each of these missions; update beliefs, observations and stops."""
         facts = self.facts
         facts[missions, : observation.GAS] = self.positions[missions]
-        worlds = [self.worlds[mission] for mission in missions.tolist()]
         facts[missions, observation.GAS] = gas_of(
-            worlds, self.positions[missions], self.steps[missions].tolist(), self._noise
+            [self.worlds[mission] for mission in missions.tolist()],
+            self.positions[missions],
+            self.steps[missions].tolist(),
+            self._noise,
         )
         readings = np.zeros((len(missions), 7))
         readings[:, :2] = self.positions[missions]

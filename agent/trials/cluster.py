@@ -47,8 +47,10 @@ def join(address: str) -> None:
         )
     except (OSError, RuntimeError, ValueError) as error:
         why = str(error.__cause__ or error).strip().splitlines()[-1].partition(". ")[0].rstrip(".")
-        allowed = "HOST:PORT of a Ray cluster that this machine is in, or auto"
-        raise BadInput(f"--ray: cannot join {address!r} ({why}); wanted {allowed}") from error
+        raise BadInput(
+            f"--ray: cannot join {address!r} ({why}); wanted HOST:PORT of a Ray cluster that this machine is "
+            "in, or auto"
+        ) from error
     signal.signal(signal.SIGTERM, terminate)  # Ray replaces the handler
 
 

@@ -183,7 +183,6 @@ def point_of(steps: int, ended: list[EndedMission]) -> CurvePoint:
 
 def save(model: BaseAlgorithm, state: RunState, folder: Path) -> None:
     """Write a checkpoint, completely or not at all, then delete those before it."""
-    path = folder / f"checkpoint-{state.steps:012d}"
     partial = folder / "checkpoint.partial"
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
@@ -191,7 +190,7 @@ def save(model: BaseAlgorithm, state: RunState, folder: Path) -> None:
     if isinstance(model, OffPolicyAlgorithm):
         model.save_replay_buffer(partial / "replay.pkl")
     (partial / "state.json").write_bytes(msgspec.json.encode(state))
-    partial.rename(path)
+    partial.rename(folder / f"checkpoint-{state.steps:012d}")
     for older in checkpoints(folder)[:-1]:
         shutil.rmtree(older)
 

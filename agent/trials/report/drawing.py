@@ -178,8 +178,9 @@ def trajectories(flights: Sequence[Trial]) -> Figure:
         "estimate at the end": ESTIMATE,
         "source": SOURCE,
     }
-    entries = [Line2D([], [], **{"label": label} | style) for label, style in styles.items()]
-    grid.ravel()[-1].legend(handles=entries, loc="center")
+    grid.ravel()[-1].legend(
+        handles=[Line2D([], [], label=label, **style) for label, style in styles.items()], loc="center"
+    )
     return figure
 
 

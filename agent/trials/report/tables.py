@@ -179,8 +179,7 @@ def _below_the_floor(results: Results, below: Sequence[tuple[Published, Setting,
     values = " and ".join(f"{it.value:g} m" for it, _, _ in below)
     floors = ", ".join(f"{floor_m:.1f} m at ζ = {setting.threshold_m:g} m" for _, setting, floor_m in below)
     seeds = sorted({row.seed for rows in results.rows.values() for row in rows})
-    truths = [draw(seed) for seed in seeds]
-    straight_m = np.mean([math.dist(it.start, it.source) for it in truths])
+    straight_m = np.mean([math.dist(it.start, it.source) for it in map(draw, seeds)])
     return (
         f"(4) {values} cannot be reached with this noise, these starts and these sources. They are below the "
         "mean information floor"
