@@ -34,7 +34,6 @@ TRAINING_SEEDS = 900_000
 # By name: reward of each step and of the stop.
 REWARDS: Mapping[str, tuple[float, float]] = {"paper": (0.0, 1.0), "cost": (-0.01, 1.0)}
 
-Floats = Array
 Flags = NDArray[np.bool_]
 
 
@@ -162,7 +161,7 @@ class Settings:
             raise ActionError(f"action {value.tolist()}{of} is not allowed; {wanted}")
         return actions
 
-    def fly(self, missions: Missions, actions: NDArray[Any]) -> tuple[Floats, Flags, Flags]:
+    def fly(self, missions: Missions, actions: NDArray[Any]) -> tuple[Array, Flags, Flags]:
         """Fly each mission to the waypoint of its action.
 
         Returns rewards, terminated and truncated, (B,) each.

@@ -24,7 +24,6 @@ class Onlooker:
     """Looks at missions and draws them. It knows the truth, and changes nothing."""
 
     def __init__(self, stop: str, assume: str, budget: int) -> None:
-        """Take what a picture says of the settings; `stop` in the form of --stop."""
         self._stop, self._assume, self._budget = stop, assume, budget
         self._taken: list[list[Measurement]] = []
         # One of scene/drawing.py for each mission; None until it is drawn.

@@ -34,7 +34,7 @@ from plume.randomness import derived_seed
 
 POINTS = 100  # approximate number of points of a curve
 
-Tell = Callable[[CurvePoint, float], None]  # (point of the curve, moves per second)
+Tell = Callable[[CurvePoint, float], None]  # of each point of the curve, and of the moves per second
 
 
 class SlowActorDDPG(DDPG):
@@ -103,7 +103,6 @@ class Legs(BaseCallback):
     """Divides a run into legs, and reports progress."""
 
     def __init__(self, recipe: Recipe, seed: int, folder: Path, state: RunState, tell: Tell) -> None:
-        """`tell` is called at each point of the curve."""
         super().__init__()
         self._recipe, self._seed, self._folder, self._state, self._tell = recipe, seed, folder, state, tell
         self._begun = False
