@@ -10,20 +10,6 @@ from plume.numerics import dot, exp, total_of
 STAGE_FLOOR = 0.4
 
 
-@subroutine
-def _greatest(values: Array) -> float:
-    a, b, c, d = values[0], values[0], values[0], values[0]
-    whole = len(values) - len(values) % 4
-    for i in range(0, whole, 4):
-        a = max(a, values[i])
-        b = max(b, values[i + 1])
-        c = max(c, values[i + 2])
-        d = max(d, values[i + 3])
-    for i in range(whole, len(values)):
-        a = max(a, values[i])
-    return float(max(max(a, b), max(c, d)))
-
-
 @kernel("float64(float64[::1])")
 def effective_sample_size(weights: Array) -> float:
     """Effective sample size (Σ w)² / Σ w² of weights (N,), which need not be normalised."""
@@ -39,7 +25,9 @@ def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array
     """
     for i in range(len(weights)):
         weights[i] = log_weights[i] + share * log_densities[i]
-    highest = _greatest(weights)
+    highest = weights[0]
+    for weight in weights:
+        highest = max(highest, weight)
     for i in range(len(weights)):
         weights[i] = exp(weights[i] - highest)
     return effective_sample_size(weights)
