@@ -295,10 +295,16 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
     `elsewhere` says how to see what a narrow terminal leaves out.
     """
     said = list(result.values())
+    # ζ tells the stop, unless a row has another criterion.
+    stops = (
+        {"stop": [row["stop"] for row in said]}
+        if any(row["threshold_m"] is None for row in said)
+        else {"ζ, m": [f"{row['threshold_m']:g}" for row in said]}
+    )
     settings = {
         "world": [row["world"] for row in said],
         "N": [f"{row['particles']:,}" for row in said],
-        **_stops(said),
+        **stops,
         "assume": [row["assume"] for row in said],
         "missions": [f"{row['missions']:,}" for row in said],
     }
@@ -326,13 +332,6 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
         ),
     ]
     tell(table(columns, width_of(stream), elsewhere, above=[", ".join([*shared, "[95% interval]"])]), stream)
-
-
-def _stops(said: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
-    """Return the column that tells the stop: ζ, unless a row has another criterion."""
-    if any(row["threshold_m"] is None for row in said):
-        return {"stop": [row["stop"] for row in said]}
-    return {"ζ, m": [f"{row['threshold_m']:g}" for row in said]}
 
 
 def _is_stdout(path: Path) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 from agent.bundle import BundleError, CurvePoint, read
-from agent.learn.train.folder import CheckpointError, checkpoints, claim
+from agent.learn.train.folder import checkpoints, claim
 from agent.learn.train.recipes import PRESETS, Recipe
 from agent.trials.progress import NARROW, progress_bar
 from link import cli
@@ -96,8 +96,6 @@ def run(args: argparse.Namespace) -> int:
                 judge(bundle, args.scenarios, EVALUATED_AT)
         except BundleError as error:
             raise cli.BadInput(f"--out: {str(bundle)!r}: {error}; delete it to train again") from error
-        except CheckpointError as error:
-            raise cli.BadInput(f"--out: {error}") from error
         except KeyboardInterrupt:
             tell(f"interrupted{_kept(recipe, folder, bundle)}")
             raise

@@ -28,8 +28,9 @@ from torch.utils.tensorboard import SummaryWriter
 from agent.bundle import CurvePoint
 from agent.learn.env import TRAINING_SEEDS, SourceSearchVector
 from agent.learn.sb3 import StableBaselinesEnv
-from agent.learn.train.folder import CheckpointError, checkpoints
+from agent.learn.train.folder import checkpoints
 from agent.learn.train.recipes import Recipe
+from link.cli import BadInput
 from plume.randomness import derived_seed
 
 POINTS = 100  # approximate number of points of a curve
@@ -195,7 +196,7 @@ def save(model: BaseAlgorithm, state: RunState, folder: Path) -> None:
 
 
 def _resumed(model: BaseAlgorithm, env: StableBaselinesEnv, path: Path) -> tuple[BaseAlgorithm, RunState]:
-    """Return the learner and the state of a checkpoint. Raises CheckpointError if it is broken."""
+    """Return the learner and the state of a checkpoint. Raises BadInput if it is broken."""
     try:
         # That the loaded replay buffer has returns over several moves.
         with warnings.catch_warnings(action="ignore", category=UserWarning):
@@ -205,8 +206,8 @@ def _resumed(model: BaseAlgorithm, env: StableBaselinesEnv, path: Path) -> tuple
         return model, msgspec.json.decode((path / "state.json").read_bytes(), type=RunState)
     except Exception as error:  # what zipfile, torch and pickle raise on a broken file has no common base
         said = " ".join(str(error).split())[:200]
-        raise CheckpointError(
-            f"{str(path)!r} cannot be read: {said or type(error).__name__}; delete it to begin anew"
+        raise BadInput(
+            f"--out: {str(path)!r} cannot be read: {said or type(error).__name__}; delete it to begin anew"
         ) from error
 
 
@@ -215,7 +216,7 @@ def train(
 ) -> tuple[BaseAlgorithm, list[CurvePoint]]:
     """Train by a recipe, from the last checkpoint in the folder if there is one.
 
-    Returns the learner and its curve. Raises CheckpointError if that checkpoint is broken.
+    Returns the learner and its curve. Raises BadInput if that checkpoint is broken.
     """
     # More threads would change the last bits, and idle ones would take cores from the missions.
     torch.set_num_threads(1)

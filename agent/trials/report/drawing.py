@@ -162,7 +162,8 @@ def trajectories(flights: Sequence[Trial]) -> Figure:
         ax.plot(*result.source, **SOURCE)
         ax.plot(*result.estimate, **ESTIMATE)
         ax.set(xlim=(0, AREA_M), ylim=(0, AREA_M), aspect="equal")
-        ax.set_title(f"{result.policy}\n{_verdict(result)}")
+        stop = "ceased, located" if result.located else "ceased, FALSE STOP"
+        ax.set_title(f"{result.policy}\n{stop if result.ceased else 'not ceased'}, {result.distance_m:.0f} m")
         ax.grid(visible=False)
     for i, ax in enumerate(grid.ravel()):
         lowest = i + columns >= len(flights)
@@ -182,13 +183,6 @@ def trajectories(flights: Sequence[Trial]) -> Figure:
         handles=[Line2D([], [], label=label, **style) for label, style in styles.items()], loc="center"
     )
     return figure
-
-
-def _verdict(result: Outcome) -> str:
-    verdict = (
-        ("ceased, located" if result.located else "ceased, FALSE STOP") if result.ceased else "not ceased"
-    )
-    return f"{verdict}, {result.distance_m:.0f} m"
 
 
 def many(flights: Sequence[Trial]) -> Figure:
