@@ -198,6 +198,12 @@ def _refuse(options: Any) -> None:
         )
 
 
+def _begun(missions: Missions | None, call: str) -> Missions:
+    if missions is None:
+        raise gymnasium.error.ResetNeeded(f"call reset before {call}")
+    return missions
+
+
 def _told(missions: Missions) -> dict[str, Any]:
     """The infos of each mission; the policy does not see them.
 
@@ -211,6 +217,10 @@ def _told(missions: Missions) -> dict[str, Any]:
         "distance_m": missions.distances_m.copy(),
         "located": missions.ceased & missions.located,
     }
+
+
+def _first(infos: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: values[0] for name, values in infos.items()}
 
 
 class SourceSearch(gymnasium.Env[Observation, Any]):
@@ -318,24 +328,23 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         )
         if self.onlooker:
             self.onlooker.look(self.missions)
-        return self.missions.observations[0].copy(), self._info()
+        return self.missions.observations[0].copy(), _first(_told(self.missions))
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Fly to the waypoint of the action and take a reading there.
 
         Raises ActionError on one outside the action space.
         """
-        if self.missions is None:
-            raise gymnasium.error.ResetNeeded("call reset before step")
-        rewards, terminated, truncated = self.settings.fly(self.missions, self.settings.actions(action)[None])
+        missions = _begun(self.missions, "step")
+        rewards, terminated, truncated = self.settings.fly(missions, self.settings.actions(action)[None])
         if self.onlooker:
-            self.onlooker.look(self.missions)
+            self.onlooker.look(missions)
         return (
-            self.missions.observations[0].copy(),
+            missions.observations[0].copy(),
             float(rewards[0]),
             bool(terminated[0]),
             bool(truncated[0]),
-            self._info(),
+            _first(_told(missions)),
         )
 
     def render(self) -> Pixels | None:
@@ -343,15 +352,7 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
 
         None without a `render_mode`.
         """
-        if self.onlooker is None:
-            return None
-        if self.missions is None:
-            raise gymnasium.error.ResetNeeded("call reset before render")
-        return self.onlooker.frame(self.missions, 0)
-
-    def _info(self) -> dict[str, Any]:
-        assert self.missions is not None
-        return {name: values[0] for name, values in _told(self.missions).items()}
+        return self.onlooker.frame(_begun(self.missions, "render"), 0) if self.onlooker else None
 
 
 class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
@@ -420,9 +421,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
         On a wrong action raises ActionError and moves none.
         """
-        missions = self.missions
-        if missions is None:
-            raise gymnasium.error.ResetNeeded("call reset before step")
+        missions = _begun(self.missions, "step")
         rewards, terminated, truncated = self.settings.fly(
             missions, self.settings.actions(actions, self.num_envs)
         )
@@ -448,9 +447,8 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         """Return the pictures of all missions, as `SourceSearch.render` does of one."""
         if self.onlooker is None:
             return None
-        if self.missions is None:
-            raise gymnasium.error.ResetNeeded("call reset before render")
-        return tuple(self.onlooker.frame(self.missions, i) for i in range(self.num_envs))
+        missions = _begun(self.missions, "render")
+        return tuple(self.onlooker.frame(missions, i) for i in range(self.num_envs))
 
     def _next(self, i: int) -> int:
         return int(self._draws[i].integers(TRAINING_SEEDS))

@@ -252,5 +252,4 @@ def distances(flights: Sequence[Trial]) -> Figure:
 
 
 def _places(trace: Sequence[TracePoint], name: str) -> Array:
-    """(steps, 2) m."""
     return np.array([getattr(point, name) for point in trace])
