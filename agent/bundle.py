@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from agent.planning.moves import Headings, Move, Reach
 from link.bus.messages import Belief, Particles
+from link.files import whole
 from plume.elementary import Array
 
 FORMAT = 1
@@ -166,8 +167,6 @@ def load(path: Path) -> Bundle:
 
 def write(path: Path, page: Page, graph: bytes) -> None:
     """Write a bundle, whole or not at all; equal parts give equal bytes."""
-    partial = path.with_name(f"{path.name}.partial")
-    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as file:
+    with whole(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as file:
         for name, part in ((PAGE, msgspec.json.format(msgspec.json.encode(page))), (GRAPH, graph)):
             file.writestr(zipfile.ZipInfo(name), part, zipfile.ZIP_DEFLATED)
-    partial.replace(path)

@@ -15,15 +15,11 @@ from numba.extending import intrinsic
 from numpy.typing import ArrayLike
 
 from plume.compiled import kernel, subroutine
-from plume.elementary import Array
+from plume.elementary import LN2_HIGH, LN2_LOW, LOG2_E, SQRT_HALF, Array
 
-LOG2_E = 1.4426950408889634
-LN2_HIGH = 6.93147180369123816490e-01
-LN2_LOW = 1.90821492927058770002e-10
 HALF_LOG_2PI = 0.9189385332046727
 ROUNDER = 6755399441055744.0  # 1.5 · 2^52: adding it leaves the nearest whole number in the low bits
 ROUNDER_BITS = 0x4338000000000000
-SQRT_HALF = 0.7071067811865476
 SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
 
 # Coefficients of polynomials, the highest power first.
