@@ -12,8 +12,8 @@ import traceback
 from concurrent.futures import BrokenExecutor
 from types import ModuleType
 
+from agent import service
 from agent.policies import PolicyError, add_policy_argument, reach
-from agent.service import waypoints
 from link import cli
 from link.bus.session import Bus
 from plume.randomness import MAX_SEED
@@ -91,21 +91,20 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
         if command in arguments:
             _module(command).add_arguments(other)
     args = parser.parse_args(arguments)
-    chosen = commands.choices[args.command] if args.command else parser
     try:
         if args.command in ("rollout", "evaluate"):
             from estimator.options import criteria, knowledge
 
             args.knowledge, args.stops = knowledge(args), criteria(args)
-        if args.command is None:
+        if args.command in (None, "rollout"):
             args.reach = reach(args.policy, cli.reach_given(args), args.area)
             args.scripted = {
-                step: point for text in args.waypoints for step, point in waypoints(text, args.reach).items()
+                step: point
+                for text in args.waypoints
+                for step, point in service.waypoints(text, args.reach).items()
             }
-        elif args.command == "rollout":
-            reach(args.policy, cli.reach_given(args))
     except ValueError as error:
-        chosen.error(str(error))
+        (commands.choices[args.command] if args.command else parser).error(str(error))
     return args
 
 
@@ -131,12 +130,10 @@ def _rollout(args: argparse.Namespace) -> None:
 
 
 def _serve(args: argparse.Namespace) -> None:
-    from agent.service import run
-
     with Bus(
         "agent", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True
     ) as bus:
-        run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, args.scripted)
+        service.run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, args.scripted)
 
 
 def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> int | None:
@@ -144,9 +141,11 @@ def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> i
     args = parse(prog, sys.argv[1:] if arguments is None else arguments)
     try:
         if args.command in OTHERS:
-            status: int = _module(args.command).run(args)
-            return status
+            return int(_module(args.command).run(args))
         (_rollout if args.command == "rollout" else _serve)(args)
+    except cli.BadInput as error:
+        print(f"error: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
     except PolicyError as error:
         if error.__cause__:
             traceback.print_exception(error.__cause__)

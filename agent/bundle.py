@@ -5,7 +5,7 @@ Flying a bundle needs neither torch nor pickle: a file from a stranger can only 
 
 import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from agent.planning.moves import Headings, Move, Reach
 from link.bus.messages import Belief, Particles
-
-if TYPE_CHECKING:
-    from agent.observation import Schema
+from link.files import whole
+from plume.elementary import Array
 
 FORMAT = 1
 GRAPH, PAGE = "policy.onnx", "bundle.json"
@@ -67,10 +66,17 @@ class Bundle:
 
         Raises BundleError if it does not match its page, or this version of the project.
         """
-        from agent import graphs  # compiles, as the schema does
+        from agent import graphs  # both compile: a bundle that is only looked into does not need them
+        from agent.observation import SCHEMAS
 
-        self.page = page
-        self._schema = _schema_of(page)
+        if page.schema not in SCHEMAS:
+            raise BundleError(f"observation {page.schema[:60]!r} is not known; wanted {' or '.join(SCHEMAS)}")
+        self.page, self._schema = page, SCHEMAS[page.schema]
+        if (page.schema_version, page.observation) != (self._schema.version, self._schema.size):
+            raise BundleError(
+                f"observation {page.schema!r} version {page.schema_version} of {page.observation} numbers; "
+                f"wanted version {self._schema.version} of {self._schema.size}: train it anew"
+            )
         _check(page.move)
         try:
             self._layers = graphs.read(data, page.observation)
@@ -82,7 +88,7 @@ class Bundle:
                 f"{GRAPH} gives arrays of {[list(gives)]}; wanted one, of [1, {page.move.outputs}]"
             )
 
-    def said(self, observation: NDArray[np.float32]) -> NDArray[np.float64]:
+    def said(self, observation: NDArray[np.float32]) -> Array:
         """Return the network's output for an observation (F,): (1, A).
 
         Raises BundleError on NaN: argmax would silently pick one.
@@ -108,20 +114,6 @@ class Bundle:
         return x, y
 
 
-def _schema_of(page: Page) -> "Schema":
-    from agent.observation import SCHEMAS  # compiles: a bundle that is only looked into does not need it
-
-    schema = SCHEMAS.get(page.schema)
-    if schema is None:
-        raise BundleError(f"observation {page.schema[:60]!r} is not known; wanted {' or '.join(SCHEMAS)}")
-    if (page.schema_version, page.observation) != (schema.version, schema.size):
-        raise BundleError(
-            f"observation {page.schema!r} version {page.schema_version} of {page.observation} numbers; "
-            f"wanted version {schema.version} of {schema.size}: train it anew"
-        )
-    return schema
-
-
 def _check(move: Move) -> None:
     if isinstance(move, Headings) and not 2 <= move.count <= MOST_HEADINGS:
         raise BundleError(f"move of {move.count} headings; wanted from 2 to {MOST_HEADINGS}")
@@ -145,9 +137,8 @@ def read(path: Path) -> tuple[Page, bytes]:
     except Exception as error:  # the exceptions of zipfile and zlib on a broken file have no common base
         raise BundleError(f"not a bundle: {_line(error)}; wanted a zip file of {PAGE} and {GRAPH}") from error
     try:
-        version = msgspec.json.decode(
-            page, type=_Format
-        ).format  # checked first: another format may explain why the rest does not fit
+        # Checked first: another format may explain why the rest does not fit.
+        version = msgspec.json.decode(page, type=_Format).format
         if version != FORMAT:
             raise BundleError(f"bundle format {version}; wanted {FORMAT}")
         return msgspec.json.decode(page, type=Page), graph
@@ -164,10 +155,9 @@ def _member(file: zipfile.ZipFile, name: str) -> bytes:
     most = MOST_PAGE_BYTES if name == PAGE else MOST_BYTES
     if info.file_size > most:
         raise BundleError(f"{name} is larger than {most >> 20} MiB")
+    # Without a size, a member that is larger than it claims would be unpacked in full.
     with file.open(info) as member:
-        return member.read(
-            info.file_size
-        )  # without a size, a member that is larger than it claims would be unpacked in full
+        return member.read(info.file_size)
 
 
 def load(path: Path) -> Bundle:
@@ -177,8 +167,6 @@ def load(path: Path) -> Bundle:
 
 def write(path: Path, page: Page, graph: bytes) -> None:
     """Write a bundle, whole or not at all; equal parts give equal bytes."""
-    partial = path.with_name(f"{path.name}.partial")
-    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as file:
+    with whole(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as file:
         for name, part in ((PAGE, msgspec.json.format(msgspec.json.encode(page))), (GRAPH, graph)):
             file.writestr(zipfile.ZipInfo(name), part, zipfile.ZIP_DEFLATED)
-    partial.replace(path)

@@ -1,5 +1,6 @@
-"""The graphs that a bundle may hold, read from ONNX: what `train` exports and no more, so that a decision
-takes bounded time and memory.
+"""The graphs that a bundle may hold, read from ONNX: what `train` exports and no more.
+
+So a decision takes bounded time and memory.
 """
 
 import math
@@ -14,13 +15,13 @@ from numpy.typing import NDArray
 from agent.network import Layer
 
 Array = NDArray[np.float32]
+Field = descriptor_pb2.FieldDescriptorProto
 OPERATORS = ("Gemm", "Relu", "Tanh")
 MOST_NODES = 100
 # Most multiplications of one decision; those of the shipped policies need 120,000. A weight counts each time
 # that it is used.
 MOST_WORK = 2**24
 
-_INT, _STRING, _BYTES, _MESSAGE, _FLOAT = 3, 9, 12, 11, 2
 # The part of ONNX's format (onnx.proto) that is read: name, number and type of each field; * is repeated.
 # Parts that are not looked into are bytes, and all other fields are dropped.
 _FIELDS = {
@@ -48,13 +49,13 @@ class GraphError(ValueError):
 
 def _model() -> Any:
     file = descriptor_pb2.FileDescriptorProto(name="policy.proto", package="policy", syntax="proto2")
-    plain = {"i": _INT, "s": _STRING, "b": _BYTES, "f": _FLOAT}
+    plain = {"i": Field.TYPE_INT64, "s": Field.TYPE_STRING, "b": Field.TYPE_BYTES, "f": Field.TYPE_FLOAT}
     for message, fields in _FIELDS.items():
         made = file.message_type.add(name=message)
         for name, number, kind in (field.split(":") for field in fields.split()):
             field = made.field.add(name=name, number=int(number), label=3 if kind.endswith("*") else 1)
             kind = kind.rstrip("*")
-            field.type = plain.get(kind, _MESSAGE)
+            field.type = plain.get(kind, Field.TYPE_MESSAGE)
             if kind not in plain:
                 field.type_name = f".policy.{kind}"
             elif kind in "if" and field.label == 3:
@@ -142,7 +143,6 @@ def _layers(graph: Any, flowing: str, size: int, weights: dict[str, Array]) -> I
 
 
 def _product(node: Any, weights: Array, biases: Array | None = None) -> Layer:
-    """Return the layer of a Gemm."""
     settings = {attribute.name: attribute for attribute in node.attribute}
     if weights.ndim != 2:
         raise GraphError(f"has a Gemm with weights of {list(weights.shape)}; wanted a matrix")
@@ -153,12 +153,11 @@ def _product(node: Any, weights: Array, biases: Array | None = None) -> Layer:
         biases = np.zeros(1, np.float32)
     if biases.size not in (1, weights.shape[1]) or biases.shape not in ((), (biases.size,), (1, biases.size)):
         raise GraphError(f"has a Gemm with biases of {list(biases.shape)}; wanted [{weights.shape[1]}]")
-    every = np.float32(share) * biases.ravel() + np.zeros(weights.shape[1], np.float32)
-    return Layer(node.op_type, np.ascontiguousarray(weights), every, scale)
+    biases = np.float32(share) * biases.ravel() + np.zeros(weights.shape[1], np.float32)
+    return Layer(node.op_type, np.ascontiguousarray(weights), biases, scale)
 
 
 def _array(tensor: Any) -> Array:
-    """Return the array of a weight."""
     if tensor.data_location or tensor.external_data:
         raise GraphError(
             f"weights {_shown(tensor.name)} lie in another file; wanted all of them in the graph"
@@ -181,7 +180,6 @@ def _array(tensor: Any) -> Array:
 
 
 def _check(node: Any) -> None:
-    """Check a node's operator and attributes."""
     if node.op_type not in OPERATORS or node.domain not in ("", "ai.onnx"):
         operator = f"{node.domain}.{node.op_type}".lstrip(".")
         raise GraphError(f"uses the operator {_shown(operator)}; allowed are {', '.join(OPERATORS)}")

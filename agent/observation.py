@@ -1,5 +1,4 @@
-"""The observations of learned policies, by schema: the same functions serve the env, many missions at
-once, and the flight.
+"""The observations of learned policies, by schema: one arithmetic for the env, many missions and flight.
 
 `paper` (version 1, 5 numbers, in the world's frame): position (x, y), reading and estimate (x, y), as in
 the paper.
@@ -23,20 +22,17 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from link.bus.messages import Belief, Particles
-from plume import elementary
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.elementary import Array, Indices, direction
 from plume.numerics import exp, log, log1p, total_of
 from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
 from plume.sensor import GAUSSIAN
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Observation = NDArray[np.float32]
 # (3,): direction (cos, sin) of the observation's x axis in the world; 1, or −1 if its y axis is mirrored.
 Frame = Array
@@ -68,21 +64,132 @@ HEADINGS = 16
 OUTSIDE = 0.05  # factor on the weights of particles outside the square in which sources are drawn
 FEW = 128  # number of particles for the information gains, drawn by systematic resampling
 NUMBERS = 24  # numbers of a polar observation after the cells and the headings
-POLAR = CELLS + HEADINGS * len(AHEAD_M) + NUMBERS
-PAPER = 5
+POLAR_SIZE = CELLS + HEADINGS * len(AHEAD_M) + NUMBERS
+PAPER_SIZE = 5
 # Numbers computed from FACTS are clipped to ±BOUND; only worlds unlike any in training exceed it.
 BOUND = 10.0
 
 STEEPNESS = GAUSSIAN.sensor_noise / GAUSSIAN.environment_noise  # α/β
 INVERSE_NOISE_SQUARED = 1 / (GAUSSIAN.sensor_noise * GAUSSIAN.sensor_noise)  # 1/α²
-TANGENTS = np.divide(*reversed(elementary.direction(np.array([1, 3, 5, 7]) / 32)))
-COSINES, SINES = elementary.direction(np.arange(HEADINGS) / HEADINGS)
+TANGENTS = np.divide(*reversed(direction(np.array([1, 3, 5, 7]) / 32)))
+COSINES, SINES = direction(np.arange(HEADINGS) / HEADINGS)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
+def _frame(
+    x: Array, y: Array, weights: Array, facts: Array, frame: Frame
+) -> tuple[float, float, float, float, float]:
+    """Multiply the weights by the policy's prior, normalise them, and fill `frame`.
+
+    Returns the mass inside the square in which sources are drawn (before the prior), the estimate's
+    distance, the spread, and the elements xx and xy of the covariance in the frame as shares of the
+    squared spread.
+    """
+    inside, total, mean_x, mean_y = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(x)):
+        drawn = SOURCE_LOW_M <= x[i] <= SOURCE_HIGH_M and SOURCE_LOW_M <= y[i] <= SOURCE_HIGH_M
+        total += weights[i]
+        inside += weights[i] if drawn else 0.0
+        weights[i] *= 1.0 if drawn else OUTSIDE
+    inside /= total
+    total *= inside + OUTSIDE * (1 - inside)
+    for i in range(len(x)):
+        weights[i] /= total
+        mean_x += weights[i] * x[i]
+        mean_y += weights[i] * y[i]
+    xx, xy, yy = 0.0, 0.0, 0.0
+    for i in range(len(x)):
+        dx, dy = x[i] - mean_x, y[i] - mean_y
+        xx += weights[i] * dx * dx
+        xy += weights[i] * dx * dy
+        yy += weights[i] * dy * dy
+    dx, dy = mean_x - facts[X], mean_y - facts[Y]
+    off = math.sqrt(dx * dx + dy * dy)
+    c, s = (dx / off, dy / off) if off > 1e-6 else (1.0, 0.0)
+    mirror = 1.0 if c * facts[WIND_Y] - s * facts[WIND_X] >= 0 else -1.0
+    frame[0], frame[1], frame[2] = c, s, mirror
+    square = max(xx + yy, 1e-12)
+    along = (c * c * xx + 2 * c * s * xy + s * s * yy) / square
+    across = mirror * ((c * c - s * s) * xy + c * s * (yy - xx)) / square
+    return inside, off, math.sqrt(square), along, across
+
+
+@subroutine
+def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+    """Fill `result` (CELLS,) with 2 √mass of each sector, ring after ring.
+
+    The first sector is centred on the frame's x axis.
+    """
+    c, s, mirror = frame
+    squares = RINGS_M * RINGS_M
+    mass = np.zeros(CELLS)
+    for i in range(len(x)):
+        dx, dy = x[i] - facts[X], y[i] - facts[Y]
+        along, across = dx * c + dy * s, mirror * (dy * c - dx * s)
+        square = along * along + across * across
+        ring = 0
+        for edge in squares:
+            ring += square > edge
+        # Finds the sector without an arc tangent: first within a quadrant, then the quadrant.
+        wide, high = abs(along), abs(across)
+        sector = 0
+        for tangent in TANGENTS:
+            sector += high > tangent * wide
+        sector = sector if along >= 0 else SECTORS // 2 - sector
+        sector = sector if across >= 0 else (SECTORS - sector) % SECTORS
+        mass[ring * SECTORS + sector] += weights[i]
+    for cell in range(CELLS):
+        result[cell] = 2 * math.sqrt(mass[cell])
+
+
+@subroutine
+def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+    """Fill `result` with the approximate information gain of a reading, nats, by AHEAD_M and heading."""
+    few_x, few_y = np.empty(FEW), np.empty(FEW)
+    last, mass = 0, weights[0]
+    for k in range(FEW):
+        while mass <= (k + 0.5) / FEW and last < len(x) - 1:
+            last += 1
+            mass += weights[last]
+        few_x[k], few_y[k] = x[last], y[last]
+    c, s, mirror = frame
+    diffusivity, wind_x, wind_y = facts[DIFFUSIVITY], facts[WIND_X], facts[WIND_Y]
+    decay = math.sqrt(
+        1 / (diffusivity * facts[LIFETIME])
+        + (wind_x * wind_x + wind_y * wind_y) / (4 * diffusivity * diffusivity)
+    )
+    scale = STEEPNESS * facts[RATE] / (4 * math.pi * diffusivity)
+    drift_x, drift_y = wind_x / (2 * diffusivity), wind_y / (2 * diffusivity)
+    steady = np.empty(FEW)
+    for ahead in range(len(AHEAD_M)):
+        for heading in range(HEADINGS):
+            along, across = AHEAD_M[ahead] * COSINES[heading], AHEAD_M[ahead] * mirror * SINES[heading]
+            there_x = min(max(facts[X] + c * along - s * across, 0.0), AREA_M)
+            there_y = min(max(facts[Y] + s * along + c * across, 0.0), AREA_M)
+            for k in range(FEW):
+                dx, dy = there_x - few_x[k], there_y - few_y[k]
+                distance = max(math.sqrt(dx * dx + dy * dy), SOURCE_RADIUS_M)
+                m = scale / distance * exp(-distance * decay - (dx * drift_x + dy * drift_y))
+                steady[k] = log(m + math.sqrt(m * m + 1))
+            mean = total_of(steady) / FEW
+            for k in range(FEW):
+                steady[k] = (steady[k] - mean) * (steady[k] - mean)
+            variance = total_of(steady) / FEW
+            result[ahead * HEADINGS + heading] = 0.5 * log(1 + variance * INVERSE_NOISE_SQUARED)
+
+
+SEE_ALONE = "void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float32[::1])"
+SEE_MISSIONS = (
+    "void(float64[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], int64[::1], "
+    "float64[:, ::1], float32[:, ::1])"
+)
+
+
+@kernel(SEE_ALONE, error_model="numpy")
 def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `frame` and `result` (PAPER,): lengths as shares of the area's side, and the reading z as
-    sign(z) log(1 + |z|).
+    """Fill `frame` and `result` (PAPER_SIZE,).
+
+    Lengths are shares of the area's side, and the reading z is sign(z) log(1 + |z|).
     """
     frame[0], frame[1], frame[2] = 1.0, 0.0, 1.0
     gas = facts[GAS]
@@ -93,16 +200,16 @@ def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, re
         facts[MEAN_X] / AREA_M,
         facts[MEAN_Y] / AREA_M,
     )
-    for k in range(PAPER):
+    for k in range(PAPER_SIZE):
         result[k] = min(max(numbers[k], -BOUND), BOUND)
 
 
-@numba.njit(error_model="numpy")
+@kernel(SEE_ALONE, error_model="numpy")
 def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `frame` and `result` (POLAR,) from particles (N,) and facts (13,). The weights are overwritten."""
+    """Fill `frame` and `result` (POLAR_SIZE,) from particles (N,), whose weights change, and facts (13,)."""
     inside, off, spread, xx, xy = _frame(x, y, weights, facts, frame)
     _fill_cells(x, y, weights, facts, frame, result[:CELLS])
-    _fill_gains(x, y, weights, facts, frame, result[CELLS : POLAR - NUMBERS])
+    _fill_gains(x, y, weights, facts, frame, result[CELLS : POLAR_SIZE - NUMBERS])
     px, py = facts[X], facts[Y]
     c, s, mirror = frame
     speed = math.sqrt(facts[WIND_X] * facts[WIND_X] + facts[WIND_Y] * facts[WIND_Y])
@@ -144,141 +251,7 @@ def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, resul
         log(inside + 1e-3) / 3,
     )
     for k in range(NUMBERS):
-        result[POLAR - NUMBERS + k] = min(max(numbers[k], -BOUND), BOUND)
-
-
-@numba.njit(error_model="numpy")
-def _frame(
-    x: Array, y: Array, weights: Array, facts: Array, frame: Frame
-) -> tuple[float, float, float, float, float]:
-    """Multiply the weights by the policy's prior, normalise them, and fill `frame`.
-
-    Returns the mass inside the square in which sources are drawn (before the prior), the estimate's
-    distance, the spread, and the elements xx and xy of the covariance in the frame as shares of the
-    squared spread.
-    """
-    inside, total, mean_x, mean_y = 0.0, 0.0, 0.0, 0.0
-    for i in range(len(x)):
-        drawn = SOURCE_LOW_M <= x[i] <= SOURCE_HIGH_M and SOURCE_LOW_M <= y[i] <= SOURCE_HIGH_M
-        total += weights[i]
-        inside += weights[i] if drawn else 0.0
-        weights[i] *= 1.0 if drawn else OUTSIDE
-    inside /= total
-    total *= inside + OUTSIDE * (1 - inside)
-    for i in range(len(x)):
-        weights[i] /= total
-        mean_x += weights[i] * x[i]
-        mean_y += weights[i] * y[i]
-    xx, xy, yy = 0.0, 0.0, 0.0
-    for i in range(len(x)):
-        dx, dy = x[i] - mean_x, y[i] - mean_y
-        xx += weights[i] * dx * dx
-        xy += weights[i] * dx * dy
-        yy += weights[i] * dy * dy
-    dx, dy = mean_x - facts[X], mean_y - facts[Y]
-    off = math.sqrt(dx * dx + dy * dy)
-    c, s = (dx / off, dy / off) if off > 1e-6 else (1.0, 0.0)
-    mirror = 1.0 if c * facts[WIND_Y] - s * facts[WIND_X] >= 0 else -1.0
-    frame[0], frame[1], frame[2] = c, s, mirror
-    square = max(xx + yy, 1e-12)
-    along = (c * c * xx + 2 * c * s * xy + s * s * yy) / square
-    across = mirror * ((c * c - s * s) * xy + c * s * (yy - xx)) / square
-    return inside, off, math.sqrt(square), along, across
-
-
-@numba.njit(error_model="numpy")
-def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `result` (CELLS,) with 2 √mass of each sector, ring after ring; the first sector is centred on
-    the frame's x axis.
-    """
-    c, s, mirror = frame
-    squares = RINGS_M * RINGS_M
-    mass = np.zeros(CELLS)
-    for i in range(len(x)):
-        dx, dy = x[i] - facts[X], y[i] - facts[Y]
-        along, across = dx * c + dy * s, mirror * (dy * c - dx * s)
-        square = along * along + across * across
-        ring = 0
-        for edge in squares:
-            ring += square > edge
-        # Finds the sector without an arc tangent: first within a quadrant, then the quadrant.
-        wide, high = abs(along), abs(across)
-        sector = 0
-        for tangent in TANGENTS:
-            sector += high > tangent * wide
-        sector = sector if along >= 0 else SECTORS // 2 - sector
-        sector = sector if across >= 0 else (SECTORS - sector) % SECTORS
-        mass[ring * SECTORS + sector] += weights[i]
-    for cell in range(CELLS):
-        result[cell] = 2 * math.sqrt(mass[cell])
-
-
-@numba.njit(error_model="numpy")
-def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `result` with the approximate information gain of a reading in each heading, nats, first for
-    AHEAD_M[0], then AHEAD_M[1].
-    """
-    few_x, few_y = np.empty(FEW), np.empty(FEW)
-    last, mass = 0, weights[0]
-    for k in range(FEW):
-        while mass <= (k + 0.5) / FEW and last < len(x) - 1:
-            last += 1
-            mass += weights[last]
-        few_x[k], few_y[k] = x[last], y[last]
-    c, s, mirror = frame
-    diffusivity, wind_x, wind_y = facts[DIFFUSIVITY], facts[WIND_X], facts[WIND_Y]
-    decay = math.sqrt(
-        1 / (diffusivity * facts[LIFETIME])
-        + (wind_x * wind_x + wind_y * wind_y) / (4 * diffusivity * diffusivity)
-    )
-    scale = STEEPNESS * facts[RATE] / (4 * math.pi * diffusivity)
-    drift_x, drift_y = wind_x / (2 * diffusivity), wind_y / (2 * diffusivity)
-    steady = np.empty(FEW)
-    for ahead in range(len(AHEAD_M)):
-        for heading in range(HEADINGS):
-            along, across = AHEAD_M[ahead] * COSINES[heading], AHEAD_M[ahead] * mirror * SINES[heading]
-            there_x = min(max(facts[X] + c * along - s * across, 0.0), AREA_M)
-            there_y = min(max(facts[Y] + s * along + c * across, 0.0), AREA_M)
-            for k in range(FEW):
-                dx, dy = there_x - few_x[k], there_y - few_y[k]
-                distance = max(math.sqrt(dx * dx + dy * dy), SOURCE_RADIUS_M)
-                m = scale / distance * exp(-distance * decay - (dx * drift_x + dy * drift_y))
-                steady[k] = log(m + math.sqrt(m * m + 1))
-            mean = total_of(steady) / FEW
-            for k in range(FEW):
-                steady[k] = (steady[k] - mean) * (steady[k] - mean)
-            variance = total_of(steady) / FEW
-            result[ahead * HEADINGS + heading] = 0.5 * log(1 + variance * INVERSE_NOISE_SQUARED)
-
-
-SEE_ALONE = "void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float32[::1])"
-SEE_MISSIONS = (
-    "void(float64[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], int64[::1], "
-    "float64[:, ::1], float32[:, ::1])"
-)
-
-
-@kernel(SEE_ALONE)
-def _see_paper(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    _paper(x, y, weights, facts, frame, result)
-
-
-@kernel(SEE_ALONE)
-def _see_polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    _polar(x, y, weights, facts, frame, result)
-
-
-@numba.njit(error_model="numpy")
-def _as_sent(particles: Array, weights: Array, total: float, x: Array, y: Array, sent: Array) -> None:
-    """Fill x, y and `sent` with particles (2, N) and normalised weights as they cross the wire: float32
-    values.
-    """
-    for i in range(len(x)):
-        x[i], y[i], sent[i] = (
-            np.float32(particles[0, i]),
-            np.float32(particles[1, i]),
-            np.float32(weights[i] / total),
-        )
+        result[POLAR_SIZE - NUMBERS + k] = min(max(numbers[k], -BOUND), BOUND)
 
 
 @kernel(SEE_MISSIONS, nogil=True)
@@ -306,9 +279,12 @@ def _polar_of_missions(
     frames: Array,
     results: NDArray[np.float32],
 ) -> None:
-    x, y, sent = np.empty((3, particles.shape[2]))
+    rows = np.empty((3, particles.shape[2]))
+    x, y, sent = rows[0], rows[1], rows[2]  # unpacked, numba would not know them for contiguous
     for b in missions:
-        _as_sent(particles[b], weights[b], totals[b], x, y, sent)
+        for i in range(len(x)):  # float32 values, as on the wire
+            x[i], y[i] = np.float32(particles[b, 0, i]), np.float32(particles[b, 1, i])
+            sent[i] = np.float32(weights[b, i] / totals[b])
         _polar(x, y, sent, facts[b], frames[b], results[b])
 
 
@@ -347,6 +323,6 @@ class Schema:
 
 
 SCHEMAS: Mapping[str, Schema] = {
-    "paper": Schema(1, PAPER, _see_paper, _paper_of_missions),
-    "polar": Schema(1, POLAR, _see_polar, _polar_of_missions),
+    "paper": Schema(1, PAPER_SIZE, _paper, _paper_of_missions),
+    "polar": Schema(1, POLAR_SIZE, _polar, _polar_of_missions),
 }

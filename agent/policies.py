@@ -7,14 +7,12 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
-from agent.planners import registry as planners
-from agent.planners.registry import PLANNERS
+from agent.planners import registry
 from agent.planning.moves import Reach
 from link import cli
 from link.bus.messages import Belief, Particles
@@ -32,7 +30,7 @@ LEARNED = {
 }
 # Learned policies that come with the project, made by `make train`.
 SHIPPED = {name: Path(__file__).parent / "bundles" / f"{name}.zip" for name in LEARNED}
-OURS = (*PLANNERS, *SHIPPED)  # the policies of the project, in the order of its tables
+OURS = (*registry.PLANNERS, *SHIPPED)  # the policies of the project, in the order of its tables
 DEFAULT = "homing"  # the best policy that needs no training
 PLUGINS = "plumeward.policies"  # entry points of this group are policies of other packages: docs/policies.md
 
@@ -55,18 +53,14 @@ def policies() -> dict[str, str]:
 
     Example: `"homing" in plumeward.policies()` is True.
     """
-    plugged_in = {plugin.name: _about(plugin) for plugin in entry_points(group=PLUGINS)}
-    return {**{name: _first_line(module) for name, module in PLANNERS.items()}, **LEARNED, **plugged_in}
+    planned = {name: _first_line(module) for name, module in registry.PLANNERS.items()}
+    return planned | LEARNED | {plugin.name: _about(plugin) for plugin in entry_points(group=PLUGINS)}
 
 
 def _first_line(module: str) -> str:
     """The first line of a module's docstring. The module is not imported: some compile."""
-    spec = find_spec(module)
-    assert spec is not None
-    assert spec.origin is not None
-    return (ast.get_docstring(ast.parse(Path(spec.origin).read_text(encoding="utf-8"))) or "").partition(
-        "\n"
-    )[0]
+    source = Path(__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
+    return (ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or "").partition("\n")[0]
 
 
 def _about(plugin: EntryPoint) -> str:
@@ -82,7 +76,7 @@ def check(name: str) -> None:
 
     The policy is not loaded, which may take seconds.
     """
-    if name in PLANNERS:
+    if name in registry.PLANNERS:
         return
     if path := bundle_path(name):
         from agent.bundle import BundleError, read
@@ -101,7 +95,7 @@ def check(name: str) -> None:
 def policy(name: str) -> Policy:
     """Return the policy of a name or a file. Raises ValueError with what is wrong and what is allowed."""
     check(name)
-    if name in PLANNERS:
+    if name in registry.PLANNERS:
         return _planned(name)
     if path := bundle_path(name):
         from agent.bundle import BundleError, load
@@ -118,20 +112,12 @@ def bundle_path(name: str) -> Path | None:
     return SHIPPED.get(name) or (Path(name) if name.endswith(".zip") else None)
 
 
-def policy_argument(text: str) -> str:
-    """Argument type: a policy that can be flown, by its name or its file."""
-    try:
-        policy(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    return text
-
-
 def add_policy_argument(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add the flag that chooses the policy, or with `several` the policies."""
+    flown = cli.checked(policy)
     argument = parser.add_argument(
         "--policy",
-        type=cli.listed(policy_argument) if several else policy_argument,
+        type=cli.listed(flown) if several else flown,
         default=[DEFAULT] if several else DEFAULT,
         metavar="NAME,NAME" if several else "NAME",
         help=f"how waypoints are chosen: {', '.join(named())}, or a bundle, FILE.zip (default: {DEFAULT})",
@@ -161,23 +147,23 @@ def _plugged_in(name: str, plugins: Sequence[EntryPoint]) -> Policy:
 
 
 def _planned(name: str) -> Policy:
-    plan = planners.planner(name)
+    plan = registry.planner(name)
 
     def waypoint(
         belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator
     ) -> Sequence[float]:
-        chosen: Sequence[float] = reach.moves(belief.position)[plan(belief, particles, reach, rng)].tolist()
-        return chosen
+        return tuple(reach.moves(belief.position)[plan(belief, particles, reach, rng)])
 
     return waypoint
 
 
 def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: float = AREA_M) -> Reach:
     """Return what a policy may choose from: the planner's own `Reach`, with the area and the given fields.
+
     Raises ValueError.
     """
-    if name in PLANNERS:
-        return planners.reach(name, {**given, "area_m": area_m})
+    if name in registry.PLANNERS:
+        return registry.reach(name, {**given, "area_m": area_m})
     if bundle_path(name):
         if given:
             flags = ", ".join(f"--{flag}" for flag in given)
@@ -191,15 +177,13 @@ def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: 
 
 
 def choose(name: str, belief: Belief, particles: Particles, seed: int, within: Reach) -> tuple[float, float]:
-    """Return the next waypoint (x, y) m in the area, a float32 pair: a function of the belief and the seed
-    alone.
+    """Return the next waypoint (x, y) m, a float32 pair: a function of the belief and the seed alone.
 
     Raises PolicyError where the policy fails, or returns something that is not a waypoint.
     """
     decide = policy(name)
-    seen = np.asfortranarray(
-        particles
-    ).view()  # one order of numbers in memory, on the bus and off it: sums depend on it
+    # One order of numbers in memory, on the bus and off it: sums depend on it.
+    seen = np.asfortranarray(particles).view()
     seen.flags.writeable = False
     try:
         said = decide(belief, seen, within, keyed(seed, name, belief.step))

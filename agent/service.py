@@ -8,9 +8,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from agent import policies
 from agent.planning.moves import Reach
-from agent.policies import choose
-from agent.policies import policy as find_policy
 from link.bus.keys import BELIEF, HEALTH, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, elapsed_ms, waypoint_message
 from link.bus.messages import Belief, Health, Particles, unpack_particles
@@ -19,18 +18,17 @@ from plume.parameters import MOST, PARAMETERS
 from plume.sensor import parse
 from plume.world import float32
 
-NONE: Mapping[int, tuple[float, float]] = MappingProxyType({})
-
 
 def waypoints(text: str, within: Reach) -> dict[int, tuple[float, float]]:
-    """Read STEP:X,Y;X,Y;... as waypoints (x, y) m by the step of the belief they answer, float32 as on the
-    wire. Raises ValueError.
+    """Read STEP:X,Y;X,Y;... as waypoints (x, y) m, float32 as on the wire, by the step of their beliefs.
+
+    Raises ValueError.
     """
     first, _, rest = text.partition(":")
     try:
         points = [tuple(map(float, point.split(","))) for point in rest.split(";")]
         path = {
-            int(first) + number: (_carried(x, within), _carried(y, within))
+            int(first) + number: (float32(min(x, within.edge)), float32(min(y, within.edge)))
             for number, (x, y) in enumerate(points)
         }
         if min(path) >= 0 and all(0.0 <= value <= within.area_m for point in points for value in point):
@@ -43,10 +41,6 @@ def waypoints(text: str, within: Reach) -> dict[int, tuple[float, float]]:
     )
 
 
-def _carried(coordinate: float, within: Reach) -> float:
-    return float32(min(coordinate, within.edge))
-
-
 def run(
     bus: Bus,
     policy: str,
@@ -54,14 +48,14 @@ def run(
     budget: int,
     system: int | None,
     reach: Reach,
-    scripted: Mapping[int, tuple[float, float]] = NONE,
+    scripted: Mapping[int, tuple[float, float]] = MappingProxyType({}),
 ) -> None:
     """Serve until interrupted: answer each belief, unless the search has ceased or the budget is spent.
 
     system: the vehicle's MAVLink system id; None: the one that its health tells, and 1 until then.
     scripted: waypoints that replace the policy's, by the step of the belief they answer.
     """
-    find_policy(policy)  # loads or compiles the policy before the first belief arrives
+    policies.policy(policy)  # loads or compiles the policy before the first belief arrives
     bus.subscribe(BELIEF, newest=True)
     bus.subscribe(STOP, *[HEALTH] * (system is None))
     system = system or 1
@@ -89,7 +83,7 @@ def run(
             waypoint = (
                 scripted[belief.step]
                 if belief.step in scripted
-                else choose(policy, belief, particles, seed, reach)
+                else policies.choose(policy, belief, particles, seed, reach)
             )
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(belief.step)

@@ -21,7 +21,6 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
     cli.add_bus_arguments(parser)
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
-    rate, diffusivity, lifetime = (cli.number(*LIMITS[name]) for name in ("q", "d", "tau"))
     parser.add_argument(
         "--seed",
         type=cli.whole(0, MAX_SEED),
@@ -29,18 +28,22 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         help="seed of the filter's random draws (default: %(default)s)",
     )
     parser.add_argument(
-        "--rate", type=rate, default=300.0, metavar="Q", help="release rate q, g/s (default: %(default)g)"
+        "--rate",
+        type=cli.number(*LIMITS["q"]),
+        default=300.0,
+        metavar="Q",
+        help="release rate q, g/s (default: %(default)g)",
     )
     parser.add_argument(
         "--diffusivity",
-        type=diffusivity,
+        type=cli.number(*LIMITS["d"]),
         default=4.5,
         metavar="D",
         help="diffusivity d, m²/s (default: %(default)g)",
     )
     parser.add_argument(
         "--lifetime",
-        type=lifetime,
+        type=cli.number(*LIMITS["tau"]),
         default=10.0,
         metavar="TAU",
         help="lifetime τ of the gas, s (default: %(default)g)",
@@ -67,8 +70,17 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
     from estimator.filter import Config  # loads or compiles the kernels, so only for a good command line
     from estimator.service import run
 
-    told = (args.seed, args.rate, args.diffusivity, args.lifetime, args.area)
-    config = Config(args.particles, stop.threshold_m, *told, within=stop.within, **known)
+    config = Config(
+        args.particles,
+        stop.threshold_m,
+        args.seed,
+        args.rate,
+        args.diffusivity,
+        args.lifetime,
+        args.area,
+        within=stop.within,
+        **known,
+    )
     with Bus(
         "estimator", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True
     ) as bus:

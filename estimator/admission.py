@@ -14,6 +14,7 @@ from plume.sensor import Hits, Sensor
 # No instrument has measured more outside of tornadoes: 113 m/s on Barrow Island (WMO, 1996).
 STRONGEST_WIND_MPS = 120.0
 HIGHEST_M = 10_000.0  # altitude above or below home. Drones fly lower, and gas is nowhere near.
+LEAST = 1e-3  # of any positive parameter
 
 
 def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[str, str] | None:
@@ -45,13 +46,15 @@ def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[s
 
 
 def greatest_concentration(config: Config) -> float:
-    """Return the greatest concentration that the sensor may report, g/m³: at the surface of the strongest
-    source that the priors allow.
+    """Return the greatest concentration that the sensor may report, g/m³.
 
-    It grows with the sensor's gain, and with intermittency, whose gusts exceed the plume's mean.
+    It is that at the surface of the strongest source that the priors allow. It grows with the sensor's gain,
+    and with intermittency, whose gusts exceed the plume's mean.
     """
     mean = _likely(config, "q")[1] / (4 * math.pi * _likely(config, "d")[0] * SOURCE_RADIUS_M)
-    return mean * _likely(config, "gain")[1] * _greatest_gust(min(_likely(config, "cv")[1], GREATEST_CV))
+    cv = min(_likely(config, "cv")[1], GREATEST_CV)
+    gust = _likely_range(Gamma(1 / (cv * cv), cv * cv))[1] if cv > 0 else 1.0
+    return mean * _likely(config, "gain")[1] * gust
 
 
 def _noisiest(config: Config) -> Sensor:
@@ -69,29 +72,21 @@ def _noisiest(config: Config) -> Sensor:
 
 def _likely(config: Config, name: str) -> tuple[float, float]:
     """Return `_likely_range` of a positive parameter, known or unknown."""
-    known = Fixed(float(config.prior_rows[PARAMETERS.index(name), 1]))
-    return _likely_range(config.effective_priors.get(name, known))
-
-
-def _greatest_gust(cv: float) -> float:
-    """Return an upper end of gamma-distributed gas with mean 1 and this coefficient of variation: it stays
-    below with 1 − 10⁻⁶.
-    """
-    return _likely_range(Gamma(1 / (cv * cv), cv * cv))[1] if cv > 0 else 1.0
+    known = float(config.prior_rows[PARAMETERS.index(name), 1])
+    return _likely_range(config.effective_priors.get(name, Fixed(known)))
 
 
 def _likely_range(prior: Prior) -> tuple[float, float]:
     """Return the ends of a range that holds at least 1 − 10⁻⁶ of a positive parameter's prior."""
-    smallest = 1e-3
     match prior:
         case Fixed(value):
             return value, value
         case Uniform(low, high):
-            return max(low, smallest), high
+            return max(low, LEAST), high
         case Normal(mean, std):
-            return max(mean - 6 * std, smallest), mean + 6 * std
+            return max(mean - 6 * std, LEAST), mean + 6 * std
         case Gamma(shape, scale):
-            return smallest, scale * (shape + 6 * math.sqrt(shape) + 20)
+            return LEAST, scale * (shape + 6 * math.sqrt(shape) + 20)
         case LogNormal(median, sigma):
             factor = float(exp(4.9 * sigma))
             return median / factor, median * factor

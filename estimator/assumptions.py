@@ -39,8 +39,7 @@ REPLACED = {"u": "wind-speed", "phi": "wind-direction"}
 def effective_priors(
     assume: str, given: Mapping[str, Prior], rate: float, lifetime: float, sensor: Sensor
 ) -> dict[str, Prior]:
-    """Return the priors of an assumption, each replaced by the one given under its name, by name of
-    `PARAMETERS`.
+    """Return the priors of an assumption by name of `PARAMETERS`, each replaced by a given one.
 
     `rate` (g/s) and `lifetime` (s) are what the estimator is told. A given prior of u or phi also removes
     the assumption's prior of the measured wind speed or direction. Intermittency is modelled for the
@@ -55,7 +54,7 @@ def effective_priors(
     _check(given, sensor)
     priors: dict[str, Prior] = {}
     if assume == "field":
-        priors = {
+        priors |= {
             "q": LogNormal(rate, RATE_SIGMA),
             "tau": LogNormal(lifetime, LIFETIME_SIGMA),
             "wind-direction": Normal(0.0, WIND_DIRECTION_STD_DEG),
@@ -94,8 +93,9 @@ def _check(given: Mapping[str, Prior], sensor: Sensor) -> None:
 
 
 def unknowns(priors: Mapping[str, Prior]) -> tuple[str, ...]:
-    """Return the names of the unknowns under these priors, in the order of `PARAMETERS`: x, y and all with
-    a prior that is not fixed.
+    """Return the unknowns under these priors: x, y and all with a prior that is not fixed.
+
+    They are in the order of `PARAMETERS`.
     """
     return tuple(
         name

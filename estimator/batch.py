@@ -8,16 +8,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.belief import evidence, fit, locates, may_claim, sure_enough
 from estimator.filter import Config, Posterior, prior
 from estimator.kernels.densities import Model
 from estimator.kernels.update import WeightedSample, update_missions
 from estimator.kernels.weights import moments_of_missions
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from plume.elementary import Array, Indices
 
 # Most missions that a thread takes at once; small portions balance the load, since missions differ much in
 # cost.
@@ -41,6 +38,9 @@ class Batch:
         self.covariances = np.empty((count, rows, rows))
         self.counts = np.zeros(count, np.int64)  # of the readings that each mission has assimilated
         self._samples = WeightedSample(np.empty((count, rows, particles)), *np.empty((3, count, particles)))
+        # (B, D, N) and (B, N), of which the greatest of each mission is 1.
+        self.particles, self.weights = self._samples.particles, self._samples.weights
+        self.unknowns = first.unknowns  # in the order of the particles' rows
         self._models = Model(
             first.unknown_indices, np.empty((count, *first.prior_rows.shape)), np.empty((count, 5))
         )
@@ -56,8 +56,7 @@ class Batch:
 
         Raises ValueError if its number of particles or its unknowns differ.
         """
-        first = self._configs[0]
-        if (config.particles, config.unknowns) != (first.particles, first.unknowns):
+        if (config.particles, config.unknowns) != (self.particles.shape[2], self.unknowns):
             raise ValueError(
                 "all missions of a batch must have the same number of particles and the same unknowns"
             )
@@ -66,19 +65,10 @@ class Batch:
         self._models.priors[mission], self._models.sensor[mission] = config.model.priors, config.model.sensor
         self.counts[mission], self._seeds[mission], self._configs[mission] = 0, config.seed, config
 
-    @property
-    def particles(self) -> Array:
-        """(B, D, N)."""
-        return self._samples.particles
-
-    @property
-    def weights(self) -> Array:
-        """(B, N); the greatest of each mission is 1."""
-        return self._samples.weights
-
     def assimilate(self, readings: Array, missions: Indices | None = None) -> None:
-        """Assimilate one reading for each of these missions (M,), by default all. readings: (M, 7), rows
-        as of `Config.row`.
+        """Assimilate one reading for each of these missions (M,), by default all.
+
+        readings: (M, 7), rows as of `Config.row`.
         """
         missions = np.arange(len(self.counts)) if missions is None else missions
         if self.counts[missions].max() == self._readings.shape[1]:
@@ -110,30 +100,20 @@ class Batch:
         portion = min(MISSIONS_PER_TASK, -(-len(missions) // self._threads))
         list(self._pool.map(task, np.split(missions, range(portion, len(missions), portion))))
 
-    @property
-    def unknowns(self) -> tuple[str, ...]:
-        """Names of the unknowns, in the order of the particles' rows."""
-        return self._configs[0].unknowns
-
     def may_claim(self, mission: int) -> bool:
         """True if the mission may claim a find, as by `estimator.belief.may_claim`."""
-        said, config = self._view(mission), self._configs[mission]
-        better = evidence(said.particles, said.weights, said.log_targets, said.readings, config)
-        return may_claim(fit(said.readings, said.ranks, config), better, len(said.readings))
+        said, config = self.posterior(mission), self._configs[mission]
+        return may_claim(fit(said, config), evidence(said, config), len(said.readings))
 
     def has_ceased(self, mission: int) -> bool:
         """Whether the mission's belief has ceased, as by `estimator.belief.belief`."""
-        said, config, covariance = self._view(mission), self._configs[mission], self.covariances[mission]
-        spread, means = math.sqrt(covariance[0, 0] + covariance[1, 1]), self.means[mission]
-        located = locates(spread, said.particles, said.weights, means, said.ranks, config)
+        config, covariance = self._configs[mission], self.covariances[mission]
+        spread = math.sqrt(covariance[0, 0] + covariance[1, 1])
+        located = locates(self.posterior(mission), spread, self.means[mission], config)
         stds = dict(zip(config.unknowns, np.sqrt(covariance.diagonal()).tolist(), strict=True))
         return sure_enough(located, stds, config) and self.may_claim(mission)
 
     def posterior(self, mission: int) -> Posterior:
-        """Return a copy of one mission's posterior."""
-        return Posterior(*(array.copy() for array in vars(self._view(mission)).values()))
-
-    def _view(self, mission: int) -> Posterior:
-        """Return a mission's posterior, which changes with the batch."""
+        """Return one mission's posterior, which changes with the batch."""
         count, sample = self.counts[mission], WeightedSample(*(stacked[mission] for stacked in self._samples))
         return Posterior(*sample, self._readings[mission, :count], self._ranks[mission, :count])

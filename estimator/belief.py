@@ -5,42 +5,31 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from estimator.filter import Array, Config, Posterior
+from estimator.filter import Config, Posterior
 from estimator.kernels.checks import log_likelihood_of_one_value, uniformity_p_value
 from estimator.kernels.densities import log_priors
 from estimator.kernels.weights import effective_sample_size, moments, weighted_mean
 from estimator.priors import Fixed
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles, Stop
-from plume.elementary import direction
+from plume.elementary import Array, direction
 from plume.parameters import PARAMETERS
 
-RECENT = 30
-"""Number of recent readings in the test of whether they fit the model."""
-FEWEST = 8
-"""With fewer readings the test has no power: the p-value is 1."""
-INCOMPATIBLE = 1e-4
-"""Below this p-value the readings do not fit the model: there is no stop."""
-CLEAR = 5.0
-"""Least evidence for a stop, nats: how much better a plume explains the readings than a sensor that shows
-one value plus noise.
-"""
+RECENT = 30  # recent readings in the test of whether they fit the model
+FEWEST = 8  # with fewer readings the test has no power: the p-value is 1
+INCOMPATIBLE = 1e-4  # below this p-value the readings do not fit the model: there is no stop
+CLEAR = 5.0  # least `evidence` for a stop, nats
+# Recent readings in which `stretch` looks for neighbours that are alike: a search has few more in the gas.
 RUN = 20
-"""Number of recent readings in which `stretch` looks for neighbours that are alike: a search has few more
-in the gas.
-"""
+# This many bit-identical readings in a row mean that a noisy sensor is stuck. No stop comes before so many.
 STUCK = 3
-"""This many bit-identical readings in a row mean that a noisy sensor is stuck. There is no stop before
-this many readings.
-"""
 
 
 def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Belief, Particles]:
-    """Return the belief message after `reading`, including whether the search has ceased, and the particle
-    array (N, D + 1).
+    """Return the belief message after `reading`, with whether the search has ceased, and its particles.
 
-    A row of the array, float32, is a particle: its D unknowns in the order of `Belief.unknowns`, then its
-    weight; the weights sum to 1.
+    The particles are an array (N, D + 1). A row of the array, float32, is a particle: its D unknowns in the
+    order of `Belief.unknowns`, then its weight; the weights sum to 1.
 
     Example:
         `said, particles = belief(posterior, reading, config)`; then `said.mean` is the estimate of the
@@ -55,11 +44,8 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     std = dict(zip(PARAMETERS, np.sqrt(covariance.diagonal()).tolist(), strict=True))
     (xx, xy), (_, yy) = covariance[:2, :2].tolist()
     spread = math.sqrt(xx + yy)
-    located = locates(spread, posterior.particles, posterior.weights, unknown_means, posterior.ranks, config)
-    p_value = fit(posterior.readings, posterior.ranks, config)
-    better = evidence(
-        posterior.particles, posterior.weights, posterior.log_targets, posterior.readings, config
-    )
+    located = locates(posterior, spread, unknown_means, config)
+    p_value, better = fit(posterior, config), evidence(posterior, config)
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
         step=len(posterior.readings) - 1,
@@ -91,51 +77,46 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     return summary, particles
 
 
-def fit(readings: Array, ranks: Array, config: Config) -> float:
-    """Return the p-value of the recent readings: a test that their ranks in their predictive distributions
-    are uniform.
+def fit(posterior: Posterior, config: Config) -> float:
+    """Return the p-value of the recent readings; 0 if the sensor is stuck.
 
-    It is 0 if the sensor is stuck.  readings: (T, 7), ranks: (T,), as in `Posterior`.
+    It tests whether their ranks in their predictive distributions are uniform.
     """
-    last = readings[-STUCK:, 5]
+    last, ranks = posterior.readings[-STUCK:, 5], posterior.ranks
     if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
         return 0.0
     return 1.0 if len(ranks) < FEWEST else float(uniformity_p_value(ranks[-RECENT:]))
 
 
-def evidence(particles: Array, weights: Array, log_targets: Array, readings: Array, config: Config) -> float:
-    """Return by how many nats the belief explains the readings better than a sensor that shows one value
-    plus noise.
+def evidence(posterior: Posterior, config: Config) -> float:
+    """Return by how many nats the belief explains the readings better than one value plus noise.
 
-    The mean log-likelihood of all readings under the belief, less the greatest that any such sensor gives
-    them. A sensor that hums at one value fits a distant source with a wide plume, so the model check is
-    silent; but then this is near 0 or below. Arguments as in `Posterior`.
+    The mean log-likelihood of all readings under the belief, less the greatest that any sensor gives them
+    that shows one value plus noise. A sensor that hums at one value fits a distant source with a wide plume,
+    so the model check is silent; but then this is near 0 or below.
     """
-    log_likelihoods = log_targets - log_priors(particles, config.model)
-    return float(
-        weighted_mean(weights, log_likelihoods) - log_likelihood_of_one_value(readings, config.model.sensor)
-    )
+    log_likelihoods = posterior.log_targets - log_priors(posterior.particles, config.model)
+    of_one_value = log_likelihood_of_one_value(posterior.readings, config.model.sensor)
+    return weighted_mean(posterior.weights, log_likelihoods) - of_one_value
 
 
 def may_claim(p_value: float, better: float, readings: int) -> bool:
-    """True if a find may be claimed: there are enough readings, they fit the model (`fit`), and they need
-    a plume (`evidence`).
+    """True if a find may be claimed.
+
+    There are enough readings, they fit the model (`fit`), and they need a plume (`evidence`).
     """
     return readings >= STUCK and p_value >= INCOMPATIBLE and better >= CLEAR
 
 
 def met(posterior: Posterior, said: Belief, config: Config) -> bool:
     """Whether this belief meets the stop criterion of `config`, even if it was computed under another."""
-    located = locates(
-        said.spread, posterior.particles, posterior.weights, np.array(said.means), posterior.ranks, config
-    )
+    located = locates(posterior, said.spread, np.array(said.means), config)
     stds = dict(zip(said.unknowns, said.stds, strict=True))
     return may_claim(said.p_value, said.evidence, said.step + 1) and sure_enough(located, stds, config)
 
 
 def warning(said: Belief, config: Config) -> tuple[str, str] | None:
-    """Return why a stop would not be honest now, and the question that it raises; None if there is no
-    warning.
+    """Return why a stop would not be honest now, and the question that it raises; None if it would be.
 
     A belief that is not narrow yet gives no warning for want of evidence: most searches begin so.
     """
@@ -148,27 +129,22 @@ def warning(said: Belief, config: Config) -> tuple[str, str] | None:
     return None
 
 
-def locates(
-    spread: float, particles: Array, weights: Array, means: Array, ranks: Array, config: Config
-) -> bool:
-    """True if the stop criterion's claim of the location is met, also when neighbouring readings are alike
-    (`stretch`).
+def locates(posterior: Posterior, spread: float, means: Array, config: Config) -> bool:
+    """True if the stop criterion's claim of the location is met, also when neighbouring readings are alike.
 
-    particles: (D, N), weights: (N,), which need not be normalised, means: (D,), ranks: (T,), as in
-    `Posterior`.
+    spread and means (D,) are those of the posterior. `stretch` says how alike readings are.
     """
     if config.within is None:
-        return spread < config.threshold_m and spread * stretch(ranks, config) < config.threshold_m
+        return spread < config.threshold_m and spread * stretch(posterior.ranks, config) < config.threshold_m
     radius_m, wanted = config.within
     return (
-        share_within(radius_m, particles, weights, means, config) >= wanted
-        and share_within(radius_m / stretch(ranks, config), particles, weights, means, config) >= wanted
+        share_within(radius_m, posterior, means, config) >= wanted
+        and share_within(radius_m / stretch(posterior.ranks, config), posterior, means, config) >= wanted
     )
 
 
 def stretch(ranks: Array, config: Config) -> float:
-    """Return how many times wider than the belief its errors may be, since neighbouring readings are
-    alike.
+    """Return how many times wider than the belief its errors may be, since neighbouring readings are alike.
 
     Gas that comes in gusts can stay above or below its mean for several readings. The filter takes them
     for independent. Then T readings are worth T (1 − ρ) / (1 + ρ), where ρ is the correlation of
@@ -183,22 +159,23 @@ def stretch(ranks: Array, config: Config) -> float:
     return math.sqrt((1 + correlation) / (1 - correlation))
 
 
-def share_within(radius_m: float, particles: Array, weights: Array, means: Array, config: Config) -> float:
-    """Return the share of the belief's weight within a radius of the estimate; a known x or y is the
-    estimate's own.
+def share_within(radius_m: float, posterior: Posterior, means: Array, config: Config) -> float:
+    """Return the share of the belief's weight within a radius of the estimate, of which means (D,) tell.
 
-    Arguments as in `locates`.
+    A known x or y is the estimate's own.
     """
+    weights = posterior.weights
     squares = np.zeros(len(weights))
-    for row, mean, name in zip(particles, means, config.unknowns, strict=True):
+    for row, mean, name in zip(posterior.particles, means, config.unknowns, strict=True):
         if name in ("x", "y"):
             squares += np.square(row - mean)
     return float(weights[squares <= radius_m * radius_m].sum() / weights.sum())
 
 
 def sure_enough(located: bool, stds: Mapping[str, float], config: Config) -> bool:
-    """True if the stop criterion is met: the location is known (`locates`), if required, and standard
-    deviations are below their limits.
+    """True if the stop criterion is met.
+
+    The location is known (`locates`), if required, and standard deviations are below their limits.
     """
     return (located or not config.stop_on_location) and all(
         stds[name] < limit for name, limit in config.stop_limits.items()
@@ -206,10 +183,10 @@ def sure_enough(located: bool, stds: Mapping[str, float], config: Config) -> boo
 
 
 def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[float, float]:
-    """Return the assumed wind, (u cos φ, u sin φ) m/s: speed and direction of the reading, or their means
-    if they have a prior.
+    """Return the assumed wind, (u cos φ, u sin φ) m/s.
 
-    Known errors of the measurement are corrected. Unknown ones are not: each particle has its own.
+    Its speed and direction are the reading's, or their means if they have a prior. Known errors of the
+    measurement are corrected. Unknown ones are not: each particle has its own.
     """
     known = {name: prior.value for name, prior in config.priors.items() if isinstance(prior, Fixed)}
     if not {"u", "phi"} & set(config.priors) and not {"wind-speed", "wind-direction"} & set(known):

@@ -45,10 +45,10 @@ def parse(text: str) -> Criterion:
 
 
 def chosen(threshold_m: float, stop: str | None) -> Criterion:
-    """Return the criterion of two arguments of which one may be given: `threshold_m` is the short form of
-    `stop="spread:…"`.
+    """Return the criterion of two arguments of which one may be given.
 
-    Raises ValueError if both are given, or if `stop` is not allowed.
+    `threshold_m` is the short form of `stop="spread:…"`. Raises ValueError if both are given, or if `stop` is
+    not allowed.
     """
     if stop is None:
         return Criterion(threshold_m)

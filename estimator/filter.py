@@ -8,21 +8,18 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator import priors
 from estimator.assumptions import effective_priors
 from estimator.criterion import Criterion
 from estimator.kernels.densities import Model, log_priors
 from estimator.kernels.update import WeightedSample, update
-from estimator.priors import Prior, Uniform
+from estimator.priors import Prior, Uniform, draw, table
 from link.bus.mavlink import Reading
+from plume.elementary import Array, Indices
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import keyed
 from plume.scenario import AREA_M, LIFETIME_S
 from plume.sensor import GAUSSIAN, Gaussian, Sensor, sensor_row, text
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,35 +35,27 @@ class Config:
     """
 
     particles: int = 1000
-    threshold_m: float = 0.5
-    """ζ, m: the search stops when the spread is below it."""
+    threshold_m: float = 0.5  # ζ, m: the search stops when the spread is below it
     seed: int = 0
+    # q, g/s, unless it has a prior. The defaults of rate and diffusivity are the middle of Table 1.
     rate: float = 300.0
-    """q, g/s, unless it has a prior. The defaults of rate and diffusivity are the middle of Table 1."""
-    diffusivity: float = 4.5
-    """d, m²/s, unless it has a prior."""
-    lifetime: float = LIFETIME_S
-    """τ, s, unless it has a prior."""
-    area_m: float = AREA_M
-    """Side of the square search area, m."""
+    diffusivity: float = 4.5  # d, m²/s, unless it has a prior
+    lifetime: float = LIFETIME_S  # τ, s, unless it has a prior
+    area_m: float = AREA_M  # side of the square search area, m
+    # Priors by name of `PARAMETERS`, which replace those of `assume` one by one. x and y are uniform over the
+    # area by default. Without a prior, the source's height z is the flight height, and wind speed u and
+    # direction φ are those measured. With a prior, the measured value is ignored.
     priors: Mapping[str, Prior] = field(default_factory=dict)
-    """Priors by name of `PARAMETERS`, which replace those of `assume` one by one. x and y are uniform over
-    the area by default. Without a prior, the source's height z is the flight height, and wind speed u and
-    direction φ are those measured. With a prior, the measured value is ignored."""
     sensor: Sensor = GAUSSIAN
+    # True if a stop requires the location to be known: the spread below ζ, or `within`.
     stop_on_location: bool = True
-    """True if a stop requires the location to be known: the spread below ζ, or `within`."""
+    # Limits by name of unknown: a stop requires its standard deviation to be below.
     stop_limits: Mapping[str, float] = field(default_factory=dict)
-    """Limits by name of unknown: a stop requires its standard deviation to be below."""
-    assume: str = "paper"
-    """What is taken to be known: a name of `estimator.assumptions.ASSUMPTIONS`."""
+    assume: str = "paper"  # what is taken to be known: a name of `estimator.assumptions.ASSUMPTIONS`
+    # (R, P): the search stops when at least the share P of the belief lies within R m of the estimate.
     within: tuple[float, float] | None = None
-    """(R, P): the search stops when at least the share P of the belief lies within R metres of the
-    estimate, whatever ζ.
-    """
 
     def __post_init__(self) -> None:
-        """Refuse bad assumptions, sensors, priors and limits."""
         if not isinstance(self.sensor, Sensor):
             raise TypeError(
                 f"sensor {self.sensor!r} is not allowed; wanted a sensor, such as "
@@ -108,10 +97,10 @@ class Config:
         everywhere = Uniform(0.0, self.area_m)
         cv = self.sensor.cv if isinstance(self.sensor, Gaussian) else 0.0
         known = {"q": self.rate, "d": self.diffusivity, "tau": self.lifetime, "z": 0.0, **NEUTRAL, "cv": cv}
-        return priors.table({"x": everywhere, "y": everywhere, **self.effective_priors}, known, self.area_m)
+        return table({"x": everywhere, "y": everywhere, **self.effective_priors}, known, self.area_m)
 
     @cached_property
-    def unknown_indices(self) -> NDArray[np.int64]:
+    def unknown_indices(self) -> Indices:
         """(D,): indices into `plume.parameters.PARAMETERS` of the unknowns."""
         return np.flatnonzero((self.prior_rows[:, 0] != KNOWN) & (self.prior_rows[:, 0] != MEASURED))
 
@@ -132,9 +121,7 @@ class Config:
 
     @property
     def intermittent(self) -> bool:
-        """True if the gas is not taken to be steady, as `estimator.kernels.densities.is_intermittent`,
-        without compiling it.
-        """
+        """True if the gas is not taken to be steady: as the kernels' `is_intermittent`, not compiled."""
         kind, value = self.prior_rows[CV, :2].tolist()
         return bool(kind != KNOWN or value != 0)
 
@@ -159,20 +146,16 @@ class Config:
 class Posterior:
     """Weighted particles and the readings behind them; never changed, only replaced."""
 
-    particles: Array
-    """(D, N), one row per unknown."""
-    log_weights: Array
-    """(N,) up to a constant."""
-    weights: Array
-    """(N,) exp(log_weights), scaled so that the greatest is 1."""
+    particles: Array  # (D, N), one row per unknown
+    log_weights: Array  # (N,) up to a constant
+    weights: Array  # (N,) exp(log_weights), scaled so that the greatest is 1
+    # (N,) log posterior density given all readings so far, up to a constant, at each particle.
     log_targets: Array
-    """(N,) log posterior density given all readings so far, up to a constant, at each particle."""
+    # (T, 7): x, y, height, wind_x, wind_y, gas, share. The share is the exponent of the reading's likelihood.
+    # It is below 1 if the reading was too improbable to be assimilated in full.
     readings: Array
-    """(T, 7): x, y, height, wind_x, wind_y, gas, share. The share is the exponent of the reading's
-    likelihood. It is below 1 if the reading was too improbable to be assimilated in full."""
+    # (T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right.
     ranks: Array
-    """(T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right.
-    """
 
     @property
     def sample(self) -> WeightedSample:
@@ -181,25 +164,23 @@ class Posterior:
 
 
 def prior(config: Config) -> Posterior:
-    """Return the belief before any reading: N particles of equal weight, drawn from the priors of
-    `config`.
+    """Return the belief before any reading: N particles of equal weight, drawn from the priors.
 
     Example:
         `prior(Config(particles=500)).particles.shape` is (2, 500): a row for each unknown, x and y in
         metres.
     """
     count = config.particles
-    particles = priors.draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
+    particles = draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
     log_targets = log_priors(particles, config.model)
     return Posterior(particles, np.zeros(count), np.ones(count), log_targets, np.empty((0, 7)), np.empty(0))
 
 
 def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Posterior:
-    """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move
-    (`estimator.kernels.update`).
+    """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move.
 
-    A function of its arguments alone: the same readings in the same order give the same particles.
-    `posterior` is not changed.
+    `estimator.kernels.update` does it. A function of its arguments alone: the same readings in the same order
+    give the same particles. `posterior` is not changed.
 
     Example:
         ```python

@@ -8,7 +8,6 @@ import numpy as np
 
 from estimator import criterion
 from estimator.assumptions import effective_priors, unknowns
-from estimator.criterion import Criterion
 from estimator.priors import Fixed, Prior, draw, parse, table
 from link import cli
 from plume import sensor
@@ -32,75 +31,60 @@ def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
     cli.completed(kind, lambda: sensor.KINDS)
 
 
-def criteria(args: argparse.Namespace) -> list[Criterion]:
+def criteria(args: argparse.Namespace) -> list[criterion.Criterion]:
     """Return the stop criteria of --threshold or --stop, several where a command takes several.
 
     Raises ValueError with what is allowed.
     """
     if args.stop is None:
         return [
-            Criterion(threshold_m)
-            for threshold_m in (args.threshold if isinstance(args.threshold, list) else [args.threshold])
-        ]
-    try:
-        return list(
-            dict.fromkeys(
-                criterion.parse(text) for text in ([args.stop] if isinstance(args.stop, str) else args.stop)
+            *map(
+                criterion.Criterion, args.threshold if isinstance(args.threshold, list) else [args.threshold]
             )
-        )
+        ]
+    texts = [args.stop] if isinstance(args.stop, str) else args.stop
+    try:
+        return list(dict.fromkeys(map(criterion.parse, texts)))
     except ValueError as error:
         raise ValueError(f"--stop: {error}") from None
 
 
 def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any]:
-    """Return the fields of `Config` that --assume, --prior, --stop-on and --sensor set, for an area of
-    side `area_m`.
+    """Return the fields of `Config` that --assume, --prior, --stop-on and --sensor set.
 
-    Raises ValueError with what is allowed.
+    `area_m` is the side of the area. Raises ValueError with what is allowed.
     """
     assumed = sensor.parse(args.sensor)
     priors: dict[str, Prior] = {}
-    for text in args.prior:
-        try:
+    try:
+        for text in args.prior:
             name, prior = parse(text)
             if not isinstance(prior, Fixed):
-                draw(
-                    table({name: prior}, {}, area_m),
-                    np.array([PARAMETERS.index(name)]),
-                    TRIED,
-                    keyed(0, "trial"),
-                )
-        except ValueError as error:
-            raise ValueError(f"--prior: {error}") from None
-        priors[name] = prior
-    try:
+                rows, index = table({name: prior}, {}, area_m), np.array([PARAMETERS.index(name)])
+                draw(rows, index, TRIED, keyed(0, "trial"))
+            priors[name] = prior
         unknown = unknowns(effective_priors(args.assume, priors, 1.0, 1.0, assumed))
+        if not unknown:
+            raise ValueError("nothing is unknown; at least one parameter needs a prior that is not fixed")
     except ValueError as error:
         raise ValueError(f"--prior: {error}") from None
-    if not unknown:
+    wanted = args.stop_on.split(",")
+    try:
+        limits = [
+            (name, float(limit))
+            for name, _, limit in (item.partition("=") for item in wanted if item != "location")
+        ]
+    except ValueError:
+        limits = [("", math.nan)]
+    if not all(name in unknown and 0 < limit < math.inf for name, limit in limits):
         raise ValueError(
-            "--prior: nothing is unknown; at least one parameter needs a prior that is not fixed"
+            f"--stop-on: {args.stop_on!r} is not allowed; wanted `location` and NAME=STD above 0, "
+            f"between commas; unknown are {', '.join(unknown)}"
         )
-    limits: dict[str, float] = {}
-    for item in args.stop_on.split(","):
-        name, _, limit = item.partition("=")
-        if item == "location":
-            continue
-        try:
-            limits[name] = float(limit)
-        except ValueError:
-            limits[name] = math.nan
-        if name not in unknown or not 0 < limits[name] < math.inf:
-            wanted = ", ".join(unknown)
-            raise ValueError(
-                f"--stop-on: {args.stop_on!r} is not allowed; wanted `location` and NAME=STD above 0, "
-                f"between commas; unknown are {wanted}"
-            )
-    location = "location" in args.stop_on.split(",")
     return {
         "priors": priors,
-        "stop_limits": limits,
-        "stop_on_location": location,
+        "stop_limits": dict(limits),
+        "stop_on_location": "location" in wanted,
         "sensor": assumed,
         "assume": args.assume,
     }

@@ -5,18 +5,13 @@ from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.elementary import exp, log
+from plume.elementary import Array, Indices, exp, log
 from plume.parameters import GAMMA, GREATEST_CV, KNOWN, LOGNORMAL, MEASURED, MOST, NORMAL, PARAMETERS, UNIFORM
 from plume.randomness import standard_gamma, standard_normal
 
-Array = NDArray[np.float64]
-
-SMALLEST = 1e-6
-"""Lower bound of a positive parameter under every prior, so that it stays above 0."""
-MOST_DRAWS = 10_000
-"""Most draws of a value until one is within its support."""
+SMALLEST = 1e-6  # lower bound of a positive parameter under every prior, so that it stays above 0
+MOST_DRAWS = 10_000  # of a value until one is within its support
 POSITIVE = ("q", "d", "tau", "wind-speed", "gain", "noise")
 NOT_NEGATIVE = ("q", "u", "d", "tau", "wind-speed", "gain", "noise", "cv")
 
@@ -47,8 +42,9 @@ class Gamma:
 
 @dataclass(frozen=True)
 class LogNormal:
-    """Log-normal with a median; the logarithm's standard deviation is sigma, so two thirds lie within a
-    factor of exp(sigma).
+    """Log-normal with a median; the logarithm's standard deviation is sigma.
+
+    Two thirds lie within a factor of exp(sigma).
     """
 
     median: float
@@ -70,6 +66,7 @@ KINDS: dict[str, type[Uniform] | type[Normal] | type[Gamma] | type[LogNormal] | 
     "lognormal": LogNormal,
     "fixed": Fixed,
 }
+FAMILIES: dict[type, float] = {Uniform: UNIFORM, Normal: NORMAL, Gamma: GAMMA}
 
 
 def parse(text: str) -> tuple[str, Prior]:
@@ -94,17 +91,12 @@ def parse(text: str) -> tuple[str, Prior]:
                 sound, rule = 0 <= low < high <= GREATEST_CV, f"0 ≤ LOW < HIGH ≤ {GREATEST_CV:g} for cv"
         case Normal(_, std):
             sound, rule = std > 0, "STD above 0"
-        case Gamma(shape, scale):
-            sound = shape > 0 and scale > 0 and name in NOT_NEGATIVE
-            rule = f"SHAPE and SCALE above 0, and NAME of {', '.join(NOT_NEGATIVE)}"
-        case LogNormal(median, sigma):
-            sound = median > 0 and sigma > 0 and name in NOT_NEGATIVE
-            rule = f"MEDIAN and SIGMA above 0, and NAME of {', '.join(NOT_NEGATIVE)}"
+        case Gamma() | LogNormal():
+            sound = min(values) > 0 and name in NOT_NEGATIVE
+            rule = f"{wanted.replace(',', ' and ')} above 0, and NAME of {', '.join(NOT_NEGATIVE)}"
         case Fixed(value):
-            sound, rule = (
-                value >= SMALLEST or name not in POSITIVE,
-                f"VALUE from {SMALLEST:g} for {', '.join(POSITIVE)}",
-            )
+            sound = value >= SMALLEST or name not in POSITIVE
+            rule = f"VALUE from {SMALLEST:g} for {', '.join(POSITIVE)}"
             if name == "cv":
                 sound, rule = 0 <= value <= GREATEST_CV, f"VALUE from 0 to {GREATEST_CV:g} for cv"
     if not (sound and all(abs(value) <= MOST for value in values)):
@@ -113,9 +105,7 @@ def parse(text: str) -> tuple[str, Prior]:
 
 
 def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
-    """Return the ends of a parameter's range under its prior; raises ValueError if the prior excludes
-    every possible value.
-    """
+    """Return the ends of a parameter's range under its prior. Raises ValueError if there is no range."""
     low = SMALLEST if name in POSITIVE else 0.0 if name in ("x", "y", "u", "cv") else -MOST
     high = area_m if name in ("x", "y") else GREATEST_CV if name == "cv" else MOST
     match prior:
@@ -133,31 +123,26 @@ def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
 
 
 def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float) -> Array:
-    """Return the priors as the kernels take them, (13, 5): kind, two numbers (of LOGNORMAL log median and
-    sigma), ends of the support.
+    """Return the priors as the kernels take them, (13, 5): kind, two numbers, ends of the support.
 
-    A parameter in neither `priors` nor `known` (u, φ) is measured.
+    The numbers of LOGNORMAL are log median and sigma. A parameter in neither `priors` nor `known` (u, φ) is
+    measured.
     """
     rows = np.zeros((len(PARAMETERS), 5))
     for index, name in enumerate(PARAMETERS):
-        prior = priors.get(name, Fixed(known[name]) if name in known else None)
-        match prior:
+        match priors.get(name, Fixed(known[name]) if name in known else None):
             case None:
                 rows[index] = MEASURED, 0, 0, 0, 0
             case Fixed(value):
                 rows[index] = KNOWN, value, 0, value, value
-            case Uniform(a, b):
-                rows[index] = UNIFORM, a, b, *support(name, prior, area_m)
-            case Normal(a, b):
-                rows[index] = NORMAL, a, b, *support(name, prior, area_m)
-            case Gamma(a, b):
-                rows[index] = GAMMA, a, b, *support(name, prior, area_m)
-            case LogNormal(a, b):
-                rows[index] = LOGNORMAL, float(log(a)), b, *support(name, prior, area_m)
+            case LogNormal(median, sigma) as prior:
+                rows[index] = LOGNORMAL, float(log(median)), sigma, *support(name, prior, area_m)
+            case prior:
+                rows[index] = FAMILIES[type(prior)], *astuple(prior), *support(name, prior, area_m)
     return rows
 
 
-def draw(rows: Array, unknowns: NDArray[np.int64], count: int, rng: np.random.Generator) -> Array:
+def draw(rows: Array, unknowns: Indices, count: int, rng: np.random.Generator) -> Array:
     """Draw particles (D, count) from the priors.
 
     Uniform priors use a low-discrepancy lattice with a random shift (the R sequence, Roberts 2018): each

@@ -10,7 +10,6 @@ from link.bus.mavlink import BadFrame, split, unpack_reading
 from link.bus.messages import Belief, pack_particles
 from link.bus.session import Arrival, Bus
 from link.bus.tally import REPEATED
-from plume.sensor import text
 
 
 def run(bus: Bus, config: Config, system: int | None) -> None:
@@ -61,18 +60,12 @@ def run(bus: Bus, config: Config, system: int | None) -> None:
 
 
 def _judge(bus: Bus, said: Belief, config: Config) -> None:
-    """Warn while no stop would be honest: once for each reason in the log, and in health as long as it
-    lasts.
-    """
-    found = warning(said, config)
-    if found is None:
-        bus.tally.warnings = ()
-        return
-    reason, question = found
+    """Warn while no stop would be honest: once a reason in the log, and in health as long as it lasts."""
+    reason, question = warning(said, config) or ("", "")
     before = "".join(bus.tally.warnings)
-    if before.partition(" (")[0] != reason.partition(" (")[0]:
+    if reason and before.partition(" (")[0] != reason.partition(" (")[0]:
         bus.log.warning(f"{reason}: {question}")
-    bus.tally.warnings = (reason,)
+    bus.tally.warnings = (reason,) if reason else ()
 
 
 def _begin(bus: Bus, config: Config) -> None:
@@ -84,5 +77,5 @@ def _begin(bus: Bus, config: Config) -> None:
         f"ready: {bus.tally.about}; unknown {' '.join(config.unknowns)}; "
         f"told q {config.rate:g} g/s, d {config.diffusivity:g} m²/s, tau {config.lifetime:g} s; "
         "sensor "
-        f"{text(config.sensor)}{', for which intermittency of the gas is not modelled' if steady else ''}"
+        f"{config.sensor_text}{', for which intermittency of the gas is not modelled' if steady else ''}"
     )

@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
 from threading import RLock
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import llvmlite
 import numba
@@ -38,6 +38,11 @@ VERSIONS = (
 CONFIG: Any = numba.config
 # Held while numba's settings are ours. A module that runs as a program is imported again meanwhile.
 SETTING = RLock()
+
+
+def subroutine(function: F, **options: Any) -> F:
+    """Let numba compile a function for the kernels that call it; `options` are njit's."""
+    return cast(F, njit(error_model="numpy", **options)(function))
 
 
 def kernel(signature: Any, **options: Any) -> Callable[[F], F]:
@@ -72,8 +77,7 @@ def _compiled(function: F, signature: Any, options: dict[str, Any], folder: Path
             CONFIG.CACHE_DIR, FunctionIdentity._unique_ids = usual, numbers
     if sum(dispatcher.stats.cache_misses.values()):
         _tell()
-    result: F = dispatcher
-    return result
+    return cast(F, dispatcher)
 
 
 def _numbers(function: F, folder: Path | None) -> "itertools.count[int]":

@@ -1,9 +1,9 @@
 """Mean gas concentration around a point source: the paper's isotropic plume (Vergassola et al. 2007)."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from plume.elementary import exp
+from plume.elementary import Array, exp
 
 SOURCE_RADIUS_M = 0.1  # Radius of the source: shorter distances are clamped to it
 
@@ -16,9 +16,8 @@ def concentration(
     rate: ArrayLike,
     diffusivity: ArrayLike,
     lifetime: ArrayLike,
-) -> NDArray[np.float64]:
-    """Mean concentration m = q/(4π d r) · exp(−r/λ + ψ), Vergassola et al. 2007 eq. (S5), the paper's
-    section 2.
+) -> Array:
+    """Mean concentration m = q/(4π d r) · exp(−r/λ + ψ), Vergassola et al. 2007 eq. (S5).
 
     position, source: (..., 2) or (..., 3) m, x east, y north, z up; without z both lie in one plane.
     wind: (..., 2) = (u cos φ, u sin φ) m/s, φ the direction it comes FROM.
@@ -33,7 +32,5 @@ def concentration(
     decay_length = np.sqrt(diffusivity * lifetime / (1 + speed_squared * lifetime / (4 * diffusivity)))  # λ
     drift = -(offset[..., :2] * wind).sum(axis=-1) / (2 * diffusivity)  # ψ
     # λ ≤ 2d/u keeps the exponent at or below zero: the exponential cannot overflow, however strong the wind.
-    result: NDArray[np.float64] = (
-        rate / (4 * np.pi * diffusivity * distance) * exp(-distance / decay_length + drift)
-    )
+    result: Array = rate / (4 * np.pi * diffusivity * distance) * exp(-distance / decay_length + drift)
     return result

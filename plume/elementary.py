@@ -1,14 +1,15 @@
-"""exp, log, cos and sin of numbers and arrays by NumPy's own additions and multiplications: bit-identical
-on every machine.
+"""exp, log, cos and sin of numbers and arrays, bit-identical on every machine; and the kinds of arrays.
 
-NumPy's `exp` and the C library's differ in their last bits between processors. These need no compiler, so
-that a vehicle starts quickly; code that is compiled has quicker ones in `plume/numerics.py`.
+They consist of NumPy's own additions and multiplications. NumPy's `exp` and the C library's differ in their
+last bits between processors. These need no compiler, so that a vehicle starts quickly; code that is compiled
+has quicker ones in `plume/numerics.py`.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 LOG2_E = 1.4426950408889634
 # ln 2 in two parts; a whole number below 2^20 times the first one is exact.
@@ -36,9 +37,7 @@ def exp(x: ArrayLike) -> Array:
 
 
 def log(x: ArrayLike) -> Array:
-    """ln x to the last bit or two, for normal x > 0: the exponent is split off, the rest is a series of
-    artanh.
-    """
+    """ln x to the last bit or two, for normal x > 0: the exponent, and a series of artanh for the rest."""
     part, exponent = np.frexp(np.asarray(x, np.float64))
     small = part < SQRT_HALF
     f, exponent = np.where(small, 2 * part, part) - 1.0, exponent - small
@@ -69,7 +68,5 @@ def direction(turns: ArrayLike) -> tuple[Array, Array]:
     s = x * _polynomial(
         z, -1 / 1307674368000, 1 / 6227020800, -1 / 39916800, 1 / 362880, -1 / 5040, 1 / 120, -1 / 6, 1
     )
-    quarter = quarters % 4
-    cosine = np.select([quarter == 0, quarter == 1, quarter == 2], [c, -s, -c], s)
-    sine = np.select([quarter == 0, quarter == 1, quarter == 2], [s, c, -s], -c)
-    return cosine, sine
+    first_three = [quarters % 4 == quarter for quarter in (0, 1, 2)]
+    return np.select(first_three, [c, -s, -c], s), np.select(first_three, [s, c, -s], -c)

@@ -1,5 +1,6 @@
-"""Local metres to latitude and longitude and back: PX4's spherical azimuthal equidistant projection about
-home (Snyder 1987, p. 195).
+"""Local metres to latitude and longitude and back.
+
+It is PX4's projection about home: spherical, azimuthal, equidistant (Snyder 1987, p. 195).
 """
 
 import math
@@ -8,9 +9,7 @@ EARTH_RADIUS_M = 6_371_000.0
 
 
 def to_global(home_lat_deg: float, home_lon_deg: float, north_m: float, east_m: float) -> tuple[float, float]:
-    """Return (latitude, longitude) in degrees of the point that lies `north_m` north and `east_m` east of
-    home.
-    """
+    """Return (latitude, longitude) in degrees of the point this far north and east of home."""
     arc = math.hypot(north_m, east_m) / EARTH_RADIUS_M
     if arc == 0.0:
         return home_lat_deg, home_lon_deg
@@ -20,7 +19,8 @@ def to_global(home_lat_deg: float, home_lon_deg: float, north_m: float, east_m: 
         math.sin(arc) * math.sin(bearing),
         math.cos(lat0) * math.cos(arc) - math.sin(lat0) * math.sin(arc) * math.cos(bearing),
     )
-    return math.degrees(lat), _wrapped_deg(home_lon_deg + math.degrees(turn))
+    lon_deg = home_lon_deg + math.degrees(turn)
+    return math.degrees(lat), lon_deg if abs(lon_deg) <= 180.0 else math.remainder(lon_deg, 360.0)
 
 
 def to_local(home_lat_deg: float, home_lon_deg: float, lat_deg: float, lon_deg: float) -> tuple[float, float]:
@@ -39,12 +39,9 @@ def to_local(home_lat_deg: float, home_lon_deg: float, lat_deg: float, lon_deg: 
 def home_from(
     origin: tuple[float, float, float], home: tuple[float, float, float]
 ) -> tuple[float, float, float]:
-    """Return (north, east, down) m of home from a local frame's origin; both as latitude and longitude,
-    degrees, and altitude, m.
+    """Return (north, east, down) m of home from a local frame's origin.
+
+    Both are given as latitude and longitude, degrees, and altitude, m.
     """
     north, east = to_local(origin[0], origin[1], home[0], home[1])
     return north, east, origin[2] - home[2]
-
-
-def _wrapped_deg(longitude: float) -> float:
-    return longitude if -180.0 <= longitude <= 180.0 else math.remainder(longitude, 360.0)

@@ -1,5 +1,6 @@
-"""Intermittent gas as compiled loops: the density and the distribution of a reading c + v, gas c
-gamma-distributed, noise v normal.
+"""Intermittent gas as compiled loops: the density and the distribution of a reading.
+
+A reading is c + v: the gas c is gamma-distributed, the noise v normal.
 
 With t = z/σ, μ = m/σ, shape k = 1/cv² the density of z is φ(t) (k/μ)^k / Γ(k) · ∫ c^(k−1) exp(−w c − c²/2)
 dc / σ, w = k/μ − t. Laplace's method, with the integral taken over log c, gives it up to a factor that
@@ -10,17 +11,14 @@ c*²/(1 + k + c*²), c* the integrand's mode: the log-density is right to 0.005,
 
 import math
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
+from plume.elementary import Array
 from plume.numerics import HALF_LOG_2PI, erfc, exp, log
 from plume.parameters import GREATEST_CV
 
-Array = NDArray[np.float64]
-
-CVS, MODES = 60, 64  # cells of the table over cv from 0 to GREATEST_CV and over v from 0 to 1
+CV_CELLS, MODE_CELLS = 60, 64  # cells of the table over cv from 0 to GREATEST_CV and over v from 0 to 1
 SMALLEST_CV = 0.01  # least intermittency: a hundredth of the mean is far below every noise
 SMALLEST_MEAN = 1e-6  # least mean, in standard deviations of the noise
 NODES = 600  # nodes of the integrals behind the table
@@ -29,7 +27,7 @@ NODES = 600  # nodes of the integrals behind the table
 BODY, TAIL = 18, 12
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _log_moment(power: float, w: float) -> float:
     """Log of ∫ c^(power−1) exp(−w c − c²/2) dc for a power of 1 or more, by the trapezoid rule over log c."""
     root = math.sqrt(w * w + 4 * power)
@@ -47,14 +45,12 @@ def _log_moment(power: float, w: float) -> float:
 
 @kernel("float64[:, ::1]()")
 def _corrections() -> Array:
-    """The table (CVS + 1, MODES + 1): logarithm of what Laplace's method leaves out, less its value at v =
-    0.
-    """
-    result = np.zeros((CVS + 1, MODES + 1))
-    for row in range(1, CVS + 1):
-        k = (CVS / (GREATEST_CV * row)) ** 2
-        for column in range(MODES):
-            v = max(column / MODES, 1e-7)
+    """The table (CV_CELLS + 1, MODE_CELLS + 1): log of what Laplace's method leaves out, 0 at v = 0."""
+    result = np.zeros((CV_CELLS + 1, MODE_CELLS + 1))
+    for row in range(1, CV_CELLS + 1):
+        k = (CV_CELLS / (GREATEST_CV * row)) ** 2
+        for column in range(MODE_CELLS):
+            v = max(column / MODE_CELLS, 1e-7)
             c = math.sqrt((1 + k) * v / (1 - v))
             w = (k - c * c) / c
             if k >= 1:
@@ -65,21 +61,22 @@ def _corrections() -> Array:
             laplace = k * log(c) - c * w - 0.5 * c * c + HALF_LOG_2PI - 0.5 * log(k + c * c)
             result[row, column] = exact - laplace
         first = result[row, 0]
-        for column in range(MODES + 1):
+        for column in range(MODE_CELLS + 1):
             result[row, column] -= first
     return result
 
 
 @kernel("float64[:, ::1]()")
 def _concentrations() -> Array:
-    """Concentrations (CVS + 1, BODY + TAIL) that stand for shares of the gas, in units of the mean:
-    medians of the shares.
+    """Concentrations (CV_CELLS + 1, BODY + TAIL) that stand for shares of the gas: the medians of the shares.
+
+    They are in units of the mean.
     """
-    result = np.ones((CVS + 1, BODY + TAIL))
+    result = np.ones((CV_CELLS + 1, BODY + TAIL))
     nodes = 20 * NODES
     cumulative = np.empty(nodes + 1)
-    for row in range(1, CVS + 1):
-        k = (CVS / (GREATEST_CV * row)) ** 2
+    for row in range(1, CV_CELLS + 1):
+        k = (CV_CELLS / (GREATEST_CV * row)) ** 2
         low, high = log(k) - 40 / k - 40 / math.sqrt(k), log(k + 40 * math.sqrt(k) + 40)
         step = (high - low) / nodes
         total, before = 0.0, 0.0
@@ -107,7 +104,7 @@ CONCENTRATIONS = _concentrations()
 SHARES = np.array([0.05] * BODY + [0.05 * 0.5**cell for cell in range(TAIL - 1)] + [0.1 * 0.5 ** (TAIL - 1)])
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
     """Log-density of a reading: gas of this mean and coefficient of variation plus noise N(0, variance)."""
     cv = max(cv, SMALLEST_CV)
@@ -120,35 +117,33 @@ def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
     ratio = 2 * k / (root + a) if a > 0 else (root - a) / (2 * mu * mu)  # c*/μ
     square = ratio * mu * ratio * mu
     total = k + square
-    x = cv * (CVS / GREATEST_CV)
-    row = min(int(x), CVS - 1)
+    x = cv * (CV_CELLS / GREATEST_CV)
+    row = min(int(x), CV_CELLS - 1)
     x -= row
-    y = square / (1 + total) * MODES
-    column = min(int(y), MODES - 1)
+    y = square / (1 + total) * MODE_CELLS
+    column = min(int(y), MODE_CELLS - 1)
     y -= column
     low = CORRECTIONS[row, column] + y * (CORRECTIONS[row, column + 1] - CORRECTIONS[row, column])
     high = CORRECTIONS[row + 1, column] + y * (
         CORRECTIONS[row + 1, column + 1] - CORRECTIONS[row + 1, column]
     )
     correction = low + x * (high - low)
-    result: float = (
+    return float(
         k * log(ratio)
         + 0.5 * (square - t * t + log(k * inverse * inverse / total))
         + correction
         - HALF_LOG_2PI
     )
-    return result
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def distribution(gas: float, mean: float, variance: float, cv: float, tails: Array) -> float:
-    """P(Z ≤ gas) of a reading: gas of this mean and coefficient of variation plus noise N(0, variance);
-    right to about 0.01.
+    """P(Z ≤ gas) of a reading, as in `log_density`; right to about 0.01.
 
     tails: (BODY + TAIL,) to compute in.
     """
-    x = cv * (CVS / GREATEST_CV)
-    row = min(int(x), CVS - 1)
+    x = cv * (CV_CELLS / GREATEST_CV)
+    row = min(int(x), CV_CELLS - 1)
     x -= row
     inverse = math.sqrt(0.5 / variance)
     low, high = CONCENTRATIONS[row], CONCENTRATIONS[row + 1]

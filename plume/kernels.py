@@ -10,12 +10,11 @@ readings: (T, 5 or more) rows of x, y, height (same origin as z), wind_x, wind_y
 
 import math
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.elementary import Array, Indices
 from plume.numerics import cosine_and_sine, exp
 from plume.parameters import (
     CV,
@@ -35,8 +34,6 @@ from plume.parameters import (
     Z,
 )
 
-Array = NDArray[np.float64]
-
 NOISES, CVS = 9, 10  # rows of `derive` for the noise: the square of its factor, and the gas's intermittency
 RADIANS = math.pi / 180
 # Number of rows that `derive` fills: x, y, z, gain q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ, noise², cv.
@@ -45,32 +42,29 @@ RADIANS = math.pi / 180
 DERIVED = 11
 
 
-@numba.njit(error_model="numpy")
-def is_location_only(unknowns: NDArray[np.int64], priors: Array) -> bool:
-    """True if only x and y are unknown and the wind is measured: the paper's case, which has a faster
-    loop.
-    """
+@subroutine
+def is_location_only(unknowns: Indices, priors: Array) -> bool:
+    """True if only x and y are unknown and the wind is measured: the paper's case has a faster loop."""
     exact = priors[WIND_DIRECTION, 1] == 0 and priors[WIND_SPEED, 1] == 1 and priors[GAIN, 1] == 1
     place = len(unknowns) == 2 and unknowns[0] == X and unknowns[1] == Y
-    only: bool = (
+    return bool(
         place and exact and is_plain(priors) and priors[U, 0] == MEASURED and priors[PHI, 0] == MEASURED
     )
-    return only
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def is_plain(priors: Array) -> bool:
     """True if the sensor's noise is known and the gas is steady."""
-    plain: bool = (
+    return bool(
         priors[NOISE, 0] == KNOWN and priors[NOISE, 1] == 1 and priors[CV, 0] == KNOWN and priors[CV, 1] == 0
     )
-    return plain
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def location_means(particles: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
-    """Fill `means` (count,) with the concentration at the reading's place, g/m³, for sources at particles
-    (2, count); all else is known.
+    """Fill `means` (count,) with the concentration at the reading's place, g/m³.
+
+    Sources are at particles (2, count); all else is known.
     """
     diffusivity, lifetime = priors[D, 1], priors[TAU, 1]
     wind_x, wind_y = reading[3], reading[4]
@@ -89,8 +83,8 @@ def location_means(particles: Array, count: int, reading: Array, priors: Array, 
         means[i] = scale / distance * exp(-distance * inverse_length - (dx * drift_x + dy * drift_y))
 
 
-@numba.njit(error_model="numpy")
-def derive(particles: Array, count: int, unknowns: NDArray[np.int64], priors: Array, derived: Array) -> None:
+@subroutine
+def derive(particles: Array, count: int, unknowns: Indices, priors: Array, derived: Array) -> None:
     """Fill `derived` (DERIVED, count) from particles (D, count) and the known parameters."""
     values = np.empty(len(priors))
     for parameter in range(len(priors)):  # assigning the whole row takes five times as long to compile
@@ -112,12 +106,11 @@ def derive(particles: Array, count: int, unknowns: NDArray[np.int64], priors: Ar
         derived[CVS, i] = values[CV]
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def derived_means(derived: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
-    """Fill `means` (count,) with the concentration at the reading's place, times the gain, g/m³, for each
-    column of `derived`.
+    """Fill `means` (count,) with the concentration at the reading's place, times the gain, g/m³.
 
-    A measured wind is taken from the reading, with each column's error.
+    Each is that of a column of `derived`. A measured wind is taken from the reading, with the column's error.
     """
     x, y, height = reading[0], reading[1], reading[2]
     speed = math.sqrt(reading[3] * reading[3] + reading[4] * reading[4])
@@ -140,9 +133,7 @@ def derived_means(derived: Array, count: int, reading: Array, priors: Array, mea
 
 
 @kernel("float64[:, ::1](float64[:, ::1], int64[::1], float64[:, ::1], float64[:, ::1])", nogil=True)
-def mean_concentrations(
-    particles: Array, unknowns: NDArray[np.int64], priors: Array, readings: Array
-) -> Array:
+def mean_concentrations(particles: Array, unknowns: Indices, priors: Array, readings: Array) -> Array:
     """Concentration at the place of each reading (A, 5 or more) under each particle, g/m³: (A, N)."""
     count = particles.shape[1]
     result = np.empty((len(readings), count))

@@ -1,28 +1,25 @@
-"""exp, log, cos and sin, erfc, log-gamma, sums as compiled loops use them: plain IEEE arithmetic,
-bit-identical on every machine.
+"""exp, log, cos and sin, erfc, log-gamma and sums as compiled loops use them.
+
+Plain IEEE arithmetic: bit-identical on every machine.
 """
 
 import math
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import numba
 import numpy as np
 from llvmlite import ir
 from numba.extending import intrinsic
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
+from plume.elementary import LN2_HIGH, LN2_LOW, LOG2_E, SQRT_HALF, Array
 
-Array = NDArray[np.float64]
-
-LOG2_E = 1.4426950408889634
-LN2_HIGH = 6.93147180369123816490e-01
-LN2_LOW = 1.90821492927058770002e-10
 HALF_LOG_2PI = 0.9189385332046727
 ROUNDER = 6755399441055744.0  # 1.5 · 2^52: adding it leaves the nearest whole number in the low bits
 ROUNDER_BITS = 0x4338000000000000
-SQRT_HALF = 0.7071067811865476
 SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
 
 # Coefficients of polynomials, the highest power first.
@@ -70,50 +67,46 @@ def _to_polynomial(_context: Any, _x: Any, coefficients: Any) -> Any:
     return numba.float64(numba.float64, coefficients), horner
 
 
-fma: Any = intrinsic(_to_fused)  # a · b + c, rounded once; bit-identical without the instruction, too
-polynomial: Any = intrinsic(_to_polynomial)  # (x, coefficients): by Horner's rule with `fma`
-bits_of: Any = intrinsic(_to_bits)  # the 64 bits of a float as an integer
-float_of: Any = intrinsic(_to_float)  # the float with these 64 bits
+# a · b + c, rounded once; bit-identical without the instruction, too
+fma = cast(Callable[[float, float, float], float], intrinsic(_to_fused))
+# (x, coefficients): by Horner's rule with `fma`
+polynomial = cast(Callable[[float, tuple[float, ...]], float], intrinsic(_to_polynomial))
+bits_of = cast(Callable[[float], int], intrinsic(_to_bits))  # the 64 bits of a float as an integer
+float_of = cast(Callable[[int], float], intrinsic(_to_float))  # the float with these 64 bits
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def exp(x: float) -> float:
     """e^x to the last bit or two, with x clamped to ±708; a polynomial, so that loops over it vectorise."""
     x = min(max(x, -708.0), 708.0)
     shifted = fma(x, LOG2_E, ROUNDER)
     whole = shifted - ROUNDER
     r = fma(whole, -LN2_LOW, fma(whole, -LN2_HIGH, x))
-    result: float = polynomial(r, EXP) * float_of((bits_of(shifted) - ROUNDER_BITS + 1023) << 52)
-    return result
+    return polynomial(r, EXP) * float_of((bits_of(shifted) - ROUNDER_BITS + 1023) << 52)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log(x: float) -> float:
-    """ln x to the last bit or two, for normal x > 0: the exponent is split off, the rest is a series of
-    artanh.
-    """
-    bits: int = bits_of(x)
+    """ln x to the last bit or two, for normal x > 0: the exponent, and a series of artanh for the rest."""
+    bits = bits_of(x)
     exponent = (bits - SQRT_HALF_BITS) >> 52
-    f: float = float_of(bits - (exponent << 52)) - 1.0
+    f = float_of(bits - (exponent << 52)) - 1.0
     s = f / (2.0 + f)
     z = s * s
-    result: float = float(exponent) * LN2_HIGH + (s * polynomial(z, LOG) + float(exponent) * LN2_LOW)
-    return result
+    return float(exponent) * LN2_HIGH + (s * polynomial(z, LOG) + float(exponent) * LN2_LOW)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log1p(x: float) -> float:
     """ln(1 + x), for x above −1; what 1 + x rounds off is added again."""
     whole = 1.0 + x
-    result: float = log(whole) + (x - (whole - 1.0)) / whole
-    return result
+    return log(whole) + (x - (whole - 1.0)) / whole
 
 
 # Inlined by force: LLVM finds it too long, and then cannot vectorise.
-@numba.njit(error_model="numpy", forceinline=True)
+@partial(subroutine, forceinline=True)
 def erfc(x: float) -> float:
-    """The complementary error function, with a relative error of at most 4e-16 (1 + x²); 0 where it is
-    below 1e-307.
+    """The complementary error function, to a relative error of 4e-16 (1 + x²); 0 where it is below 1e-307.
 
     erfc(x) exp(x²) (1 + x/2) is a polynomial of degree 27 in (1 − x/2)/(1 + x/2) for x ≥ 0, from its
     Chebyshev series.
@@ -122,14 +115,14 @@ def erfc(x: float) -> float:
     t = 1 / (1 + 0.5 * size)
     s = 2 * t - 1
     tail = t * polynomial(s, ERFC) * exp(-size * size) if size < 26.5 else 0.0
-    result: float = tail if x >= 0 else 2.0 - tail
-    return result
+    return tail if x >= 0 else 2.0 - tail
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log_gamma(x: float) -> float:
-    """ln Γ(x) for x ≥ 1, by Stirling's series from 10 on, with an error of at most 5e-15 times the greater
-    of 1 and the result.
+    """ln Γ(x) for x ≥ 1, by Stirling's series from 10 on.
+
+    The error is at most 5e-15 times the greater of 1 and the result.
     """
     product = 1.0
     while x < 10.0:
@@ -140,11 +133,10 @@ def log_gamma(x: float) -> float:
         1 / 12
         - y * (1 / 360 - y * (1 / 1260 - y * (1 / 1680 - y * (1 / 1188 - y * (691 / 360360 - y / 156)))))
     ) / x
-    result: float = (x - 0.5) * log(x) - x + HALF_LOG_2PI + series - log(product)
-    return result
+    return (x - 0.5) * log(x) - x + HALF_LOG_2PI + series - log(product)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def cosine_and_sine(angle: float) -> tuple[float, float]:
     """(cos, sin) of an angle in radians, to 4e-16 (1 + |angle|)."""
     turns = angle * (0.5 / np.pi)
@@ -152,10 +144,11 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
     return direction(turns if turns < 1.0 else 0.0)  # a small negative number of turns rounds to a whole one
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def angle_of(x: float, y: float) -> float:
-    """The angle of (x, y) in radians, within ±π, to 2e-15: a rational guess, corrected by the angle
-    between it and (x, y).
+    """The angle of (x, y) in radians, within ±π, to 2e-15.
+
+    A rational guess is corrected by the angle between it and (x, y).
     """
     larger = max(abs(x), abs(y))
     if larger == 0.0:
@@ -173,11 +166,9 @@ def angle_of(x: float, y: float) -> float:
     return angle
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def direction(turns: float) -> tuple[float, float]:
-    """(cos, sin) of 2π · turns, turns in [0, 1): the quarter is split off, the rest is a series within
-    ±π/4.
-    """
+    """(cos, sin) of 2π · turns, turns in [0, 1): the quarter, and a series within ±π/4 for the rest."""
     quarter = float(int(4 * turns))
     x = (4 * turns - quarter - 0.5) * (np.pi / 2)
     z = x * x
@@ -187,10 +178,11 @@ def direction(turns: float) -> tuple[float, float]:
     return (one, two) if quarter < 2.0 else (-one, -two)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def total_of(values: Array) -> float:
-    """Sum with eight interleaved accumulators: additions need not wait for each other, and their order
-    never changes.
+    """Sum with eight interleaved accumulators, in an order that never changes.
+
+    Additions need not wait for each other.
     """
     a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     whole = len(values) - len(values) % 8
@@ -208,23 +200,10 @@ def total_of(values: Array) -> float:
     return ((a + b) + (c + d)) + ((e + f) + (g + h))
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def dot(one: Array, other: Array) -> float:
     """Σ one · other, summed as `total_of` does."""
-    a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    whole = len(one) - len(one) % 8
-    for i in range(0, whole, 8):
-        a += one[i] * other[i]
-        b += one[i + 1] * other[i + 1]
-        c += one[i + 2] * other[i + 2]
-        d += one[i + 3] * other[i + 3]
-        e += one[i + 4] * other[i + 4]
-        f += one[i + 5] * other[i + 5]
-        g += one[i + 6] * other[i + 6]
-        h += one[i + 7] * other[i + 7]
-    for i in range(whole, len(one)):
-        a += one[i] * other[i]
-    return ((a + b) + (c + d)) + ((e + f) + (g + h))
+    return total_of(one * other)
 
 
 @kernel("void(float64[::1])")
@@ -251,16 +230,7 @@ def _each(kernel_in_place: Callable[[Array], None], values: ArrayLike) -> Array:
     return result
 
 
-def exp_each(values: ArrayLike) -> Array:
-    """`exp` of each number, for code that is not compiled; same shape."""
-    return _each(_exponentiate, values)
-
-
-def log_each(values: ArrayLike) -> Array:
-    """`log` of each number, for code that is not compiled; same shape."""
-    return _each(_take_logs, values)
-
-
-def erfc_each(values: ArrayLike) -> Array:
-    """`erfc` of each number, for code that is not compiled; same shape."""
-    return _each(_take_erfcs, values)
+# `exp`, `log` and `erfc` of each number, for code that is not compiled; same shape.
+exp_each = partial(_each, _exponentiate)
+log_each = partial(_each, _take_logs)
+erfc_each = partial(_each, _take_erfcs)

@@ -28,26 +28,20 @@ class Outcome(msgspec.Struct, frozen=True):
 
     seed: int
     policy: str
-    ceased: bool
-    """AGDC declared a stop within the step budget."""
+    ceased: bool  # AGDC declared a stop within the step budget
+    # Ceased, and the estimate is within the success radius of the source. None, as the next ones, if nobody
+    # knows where that is.
     located: bool | None
-    """Ceased, and the estimate is within the success radius of the source; None, as the next ones, if
-    nobody knows where that is.
-    """
     estimate: tuple[float, float]
     source: tuple[float, float] | None
-    scenario: Scenario | None
-    """The truth; in most worlds it differs from what the estimator assumes."""
+    scenario: Scenario | None  # the truth; in most worlds it differs from what the estimator assumes
     error_m: float | None
     spread_m: float
     steps: int
     distance_m: float
-    search_time_s: float
-    """Compute time of estimator and agent, summed over the mission."""
-    assume: str
-    """What the estimator took to be known."""
-    stop: str
-    """The stop criterion, in the form of --stop."""
+    search_time_s: float  # compute time of estimator and agent, summed over the mission
+    assume: str  # what the estimator took to be known
+    stop: str  # the stop criterion, in the form of --stop
     world: str = AS_MODELLED
 
 
@@ -62,8 +56,9 @@ def outcome(
     stop: str,
     world: str = AS_MODELLED,
 ) -> Outcome:
-    """Judge a mission by its true scenario, None if it is not known, and its trace, whose first point is
-    the reading before any move.
+    """Judge a mission by its true scenario, None if it is not known, and its trace.
+
+    The trace's first point is the reading before any move.
     """
     last = trace[-1]
     error_m = math.dist(last.mean, scenario.source) if scenario else None
@@ -108,9 +103,11 @@ def outcome_text(result: Outcome) -> str:
         else {True: "located", False: "FALSE STOP", None: "ceased"}[result.located]
     )
     x, y = result.estimate
-    source = ""
-    if result.source is not None:
-        source = f"source   ({result.source[0]:.2f}, {result.source[1]:.2f}), error {result.error_m:.2f} m\n"
+    source = (
+        f"source   ({result.source[0]:.2f}, {result.source[1]:.2f}), error {result.error_m:.2f} m\n"
+        if result.source
+        else ""
+    )
     return (
         f"{verdict} after {result.steps} steps, {result.distance_m:.1f} m\n"
         f"estimate ({x:.2f}, {y:.2f}) ± {result.spread_m:.2f} m\n"
@@ -119,7 +116,8 @@ def outcome_text(result: Outcome) -> str:
 
 
 def assumed_text(assume: str, stop: str, world: str) -> str:
-    """One line for people: what the estimator took to be known, when it stops, and the world if it differs
-    from the model.
+    """One line for people: what the estimator took to be known, and when it stops.
+
+    The world follows if it differs from the model.
     """
     return f"assumed  {assume}, stop {stop}" + ("" if world == AS_MODELLED else f", world {world}")

@@ -1,5 +1,6 @@
-"""The parameters of a release and of what measures it: their order in arrays, and the kinds of prior
-knowledge about each.
+"""The parameters of a release and of what measures it.
+
+Their order in arrays, the kinds of prior knowledge about each, and their limits.
 """
 
 # Of the release: position m (z above home), release rate g/s, wind m/s and rad, diffusivity m²/s, lifetime s.

@@ -1,5 +1,6 @@
-"""Keyed randomness: every draw is a function of (seed, stream, step), never of clock, process, batch or
-thread.
+"""Keyed randomness: every draw is a function of (seed, stream, step) alone.
+
+It depends on no clock, process, batch or thread.
 """
 
 from collections.abc import Callable, Sequence
@@ -7,10 +8,11 @@ from functools import cache
 from hashlib import blake2b
 
 import numpy as np
-from numpy.typing import NDArray
+
+from plume.elementary import Array, Indices
 
 MAX_SEED = 2**63 - 1
-TAIL = 3.65  # beyond it NumPy's normal draws are not a product of exact numbers
+EXACT_WITHIN = 3.65  # beyond it NumPy's normal draws are not a product of exact numbers
 
 
 @cache
@@ -19,21 +21,16 @@ def _word(text: str) -> int:
 
 
 def keyed(seed: int, stream: str, step: int = 0) -> np.random.Generator:
-    """Return the generator of one (seed, stream, step); counter-based Philox makes different ones
-    independent.
-    """
+    """Return the generator of one (seed, stream, step): counter-based Philox, so all are independent."""
     return np.random.Generator(
         np.random.Philox(key=np.array([seed, _word(stream)], np.uint64), counter=[0, 0, step, 0])
     )
 
 
 class Keyed:
-    """One generator that can be set to any (seed, stream, step): gives the draws of `keyed` in a fifth of
-    the time.
-    """
+    """One generator that can be set to any key: the draws of `keyed` in a fifth of the time."""
 
     def __init__(self) -> None:
-        """Create a generator; `at` sets its key."""
         self._bits = np.random.Philox(0)
         self._generator = np.random.Generator(self._bits)
         self._state = self._bits.state
@@ -49,40 +46,38 @@ class Keyed:
         return self._generator
 
 
-def uniform(
-    rng: np.random.Generator, low: NDArray[np.float64], high: NDArray[np.float64] | float
-) -> NDArray[np.float64]:
-    """Draw uniformly between `low`, an array, and `high`: as the generator's own method, whose rounding
-    depends on the processor.
+def uniform(rng: np.random.Generator, low: Array, high: Array | float) -> Array:
+    """Draw uniformly between `low`, an array, and `high`.
+
+    The rounding of the generator's own method depends on the processor.
     """
     return low + (high - low) * rng.random(low.shape)
 
 
-def standard_normal(rng: np.random.Generator, size: int) -> NDArray[np.float64]:
-    """Draw N(0, 1), the 0.03% beyond ±TAIL to 9 digits: NumPy takes these from a logarithm of the C
-    library.
-    """
+def standard_normal(rng: np.random.Generator, size: int) -> Array:
+    """Draw N(0, 1), the 0.03% beyond ±EXACT_WITHIN to 9 digits: NumPy takes them from the C library's log."""
     drawn = rng.standard_normal(size)
-    return np.where(np.abs(drawn) > TAIL, np.rint(drawn * 2.0**30) / 2.0**30, drawn)
+    return np.where(np.abs(drawn) > EXACT_WITHIN, np.rint(drawn * 2.0**30) / 2.0**30, drawn)
 
 
-def standard_gamma(
-    rng: np.random.Generator, shape: NDArray[np.float64] | float, size: int
-) -> NDArray[np.float64]:
-    """Draw gamma variables of scale 1, float32 values: how NumPy rounds them depends on the compiler that
-    built it.
+def standard_gamma(rng: np.random.Generator, shape: Array | float, size: int) -> Array:
+    """Draw gamma variables of scale 1, float32 values.
+
+    How NumPy rounds them depends on the compiler that built it.
     """
     return rng.standard_gamma(shape, size).astype(np.float32).astype(np.float64)
 
 
 class Abreast:
-    """Several keyed generators side by side: each element of an array comes from its own, bit-identical to
-    drawing it alone.
+    """Several keyed generators side by side, one for each element of an array.
+
+    Each element is bit-identical to drawing it alone.
     """
 
     def __init__(self, keyed: Keyed, keys: Sequence[tuple[int, str, int]]) -> None:
-        """Take a (seed, stream, step) for each element of the arrays (M,) to draw; `keyed` is set to one
-        after the other.
+        """Take a (seed, stream, step) for each element of the arrays (M,) to draw.
+
+        `keyed` is set to one after the other.
         """
         self._keyed = keyed
         self._keys = keys
@@ -102,19 +97,19 @@ class Abreast:
             numbers.append(last(generator, number))
         return numbers
 
-    def standard_normal(self, _size: tuple[int, ...], /) -> NDArray[np.float64]:
+    def standard_normal(self, _size: tuple[int, ...], /) -> Array:
         """(M,) of N(0, 1)."""
         return np.array(self._drawn(lambda generator, _: generator.standard_normal()))
 
-    def random(self, _size: tuple[int, ...], /) -> NDArray[np.float64]:
+    def random(self, _size: tuple[int, ...], /) -> Array:
         """(M,) of U[0, 1)."""
         return np.array(self._drawn(lambda generator, _: generator.random()))
 
-    def standard_gamma(self, shape: float, _size: tuple[int, ...], /) -> NDArray[np.float64]:
+    def standard_gamma(self, shape: float, _size: tuple[int, ...], /) -> Array:
         """(M,) gamma variables of this shape and scale 1."""
         return np.array(self._drawn(lambda generator, _: generator.standard_gamma(shape)))
 
-    def poisson(self, lam: NDArray[np.float64], /) -> NDArray[np.int64]:
+    def poisson(self, lam: Array, /) -> Indices:
         """(M,) Poisson counts with means `lam` (M,)."""
         return np.array(self._drawn(lambda generator, number: generator.poisson(lam[number])), np.int64)
 
@@ -123,7 +118,8 @@ Draws = np.random.Generator | Abreast  # a source of noise
 
 
 def derived_seed(seed: int, purpose: str) -> int:
-    """Return a service's seed, a one-way hash: it does not reveal the mission's seed, from which the
-    source could be drawn.
+    """Return a service's seed: a one-way hash, which does not reveal the mission's seed.
+
+    The source could be drawn from that.
     """
     return _word(f"{seed}/{purpose}") & MAX_SEED

@@ -8,41 +8,27 @@ import numpy as np
 from plume.elementary import direction
 from plume.randomness import keyed, uniform
 
-AREA_M = 30.0
-"""Side of the square search area [0, AREA_M]², m."""
-SOURCE_LOW_M, SOURCE_HIGH_M = 10.0, 25.0
-"""Table 1 draws the source's x and y from this range, m."""
-STEP_M = 1.0
-"""Length of one move, m."""
-BUDGET_STEPS = 300
-"""Most moves of a mission; the paper states no budget."""
+AREA_M = 30.0  # side of the square search area [0, AREA_M]², m
+SOURCE_LOW_M, SOURCE_HIGH_M = 10.0, 25.0  # Table 1 draws the source's x and y from this range, m
+STEP_M = 1.0  # length of one move, m
+BUDGET_STEPS = 300  # most moves of a mission; the paper states no budget
+# A stop counts as located if the estimate is this close to the source, m; the paper states none.
 SUCCESS_RADIUS_M = 1.0
-"""A stop counts as located if the estimate is within this distance of the source, m; the paper states
-none.
-"""
+# τ, s. Table 1 states none; the paper's illustration has 10 s.
 LIFETIME_S = 10.0
-"""τ, s. Table 1 states none; the paper's illustration has 10 s."""
 
 
 class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
     """One gas release. It holds the true source: never give it to code that estimates or plans."""
 
-    source: tuple[float, float]
-    """(x, y) m, x east, y north."""
-    q: float
-    """Release rate, g/s."""
-    u: float
-    """Wind speed, m/s."""
-    phi: float
-    """Direction the wind comes from, rad, counter-clockwise from +x."""
-    d: float
-    """Effective diffusivity, m²/s."""
-    tau: float
-    """Lifetime of the gas, s."""
-    start: tuple[float, float]
-    """Where the search begins, m."""
-    height: float = 0.0
-    """Height of the source above the search plane, m."""
+    source: tuple[float, float]  # (x, y) m, x east, y north
+    q: float  # release rate, g/s
+    u: float  # wind speed, m/s
+    phi: float  # direction the wind comes from, rad, counter-clockwise from +x
+    d: float  # effective diffusivity, m²/s
+    tau: float  # lifetime of the gas, s
+    start: tuple[float, float]  # where the search begins, m
+    height: float = 0.0  # height of the source above the search plane, m
 
     @property
     def wind(self) -> tuple[float, float]:
@@ -65,8 +51,7 @@ def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:
     Example:
         `plumeward.draw(7).source` is where the source of mission 7 is, (x, y) in metres.
     """
-    rng = keyed(seed, "scenario")
     low = np.array([SOURCE_LOW_M, SOURCE_LOW_M, 100.0, 1.0, 0.0, 1.0, 0.0, 0.0])
     high = np.array([SOURCE_HIGH_M, SOURCE_HIGH_M, 500.0, 4.0, 2 * np.pi, 8.0, 5.0, 5.0])
-    x, y, q, u, phi, d, start_x, start_y = uniform(rng, low, high).tolist()
+    x, y, q, u, phi, d, start_x, start_y = uniform(keyed(seed, "scenario"), low, high).tolist()
     return Scenario(source=(x, y), q=q, u=u, phi=phi, d=d, tau=lifetime_s, start=(start_x, start_y))

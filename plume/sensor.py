@@ -10,12 +10,9 @@ from plume.parameters import GREATEST_CV, MOST
 from plume.randomness import Draws
 
 Array = NDArray[np.float64]
+# A reading this many standard deviations beyond what the strongest plume could give is absurd.
 SURPRISE = 10.0
-"""A reading is absurd if it lies more than this many standard deviations beyond what the strongest plume
-could give.
-"""
-MANY = 12
-"""Above this many expected hits, their entropy is computed by its asymptotic series."""
+MANY = 12  # above this many expected hits, their entropy is computed by its asymptotic series
 
 _erf = np.vectorize(math.erf, otypes=[np.float64])
 _log_gamma = np.vectorize(math.lgamma, otypes=[np.float64])
@@ -26,15 +23,15 @@ def _normal_cdf(value: ArrayLike) -> Array:
 
 
 def fluctuating(mean: Array, cv: float, rng: Draws) -> Array:
-    """Draw the concentration around each mean, g/m³: gamma-distributed with this coefficient of variation;
-    the mean itself if it is 0.
+    """Draw the concentration around each mean, g/m³.
+
+    It is gamma-distributed with this coefficient of variation; the mean itself if that is 0.
     """
     return mean * rng.standard_gamma(1 / (cv * cv), mean.shape) * (cv * cv) if cv > 0 else mean
 
 
 def _gamma_and_normal(reading: Array, mean: Array, std: Array, cv: float) -> Array:
-    """Log-density of c + v at each reading: c is gamma with this mean and coefficient of variation, v ~
-    N(0, std²).
+    """Log-density of c + v at each reading: c is gamma with this mean and cv, v ~ N(0, std²).
 
     A numerical integral over c. It is taken by parts, since for a shape below 1 the gas piles up at 0.
     """
@@ -71,16 +68,12 @@ class Gaussian:
     The two noises are independent and add in quadrature.
     """
 
-    sensor_noise: float = 0.3
-    """α: standard deviation as a share of the concentration."""
-    environment_noise: float = 0.2
-    """β: standard deviation in clean air, g/m³; above 0."""
+    sensor_noise: float = 0.3  # α: standard deviation as a share of the concentration
+    environment_noise: float = 0.2  # β: standard deviation in clean air, g/m³; above 0
+    # Intermittency: coefficient of variation of the gas, up to GREATEST_CV; 0 is steady gas. The
+    # concentration c is then gamma-distributed around the plume's mean with shape k = 1/cv² and scale m/k,
+    # independent from reading to reading, and z = c + v.
     cv: float = 0.0
-    """Intermittency: coefficient of variation of the concentration around the plume's mean, up to
-    GREATEST_CV; 0 is steady gas.
-
-    The concentration is then gamma-distributed with shape k = 1/cv² and scale m/k, independent from
-    reading to reading, and z = c + v."""
 
     def noise_std(self, mean: ArrayLike) -> Array:
         """σ(m), g/m³."""
@@ -138,8 +131,9 @@ class Gaussian:
         return True
 
     def refusal(self, reading: float, greatest_mean: float) -> str | None:
-        """Reason why this sensor cannot give this reading if no concentration exceeds `greatest_mean`,
-        g/m³; None if it can.
+        """Reason why this sensor cannot give this reading; None if it can.
+
+        No concentration exceeds `greatest_mean`, g/m³.
         """
         surprise = SURPRISE * float(self.noise_std(greatest_mean))
         # m − SURPRISE σ(m) is concave, so its minimum is at one of the ends. Near a strong source, noise
@@ -157,21 +151,16 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Threshold:
-    """A sensor that reads 0 below its threshold, and sometimes also in gas (AutoSTE; Stone Soup;
-    Hutchinson et al. 2018).
+    """A sensor that reads 0 below its threshold, and sometimes also in gas.
 
-    z = 0 with probability p_m (missed detection). Otherwise z = m + v as in `Gaussian`, or 0 if that is
-    below the threshold.
+    As in AutoSTE, Stone Soup and Hutchinson et al. 2018. z = 0 with probability p_m (missed detection).
+    Otherwise z = m + v as in `Gaussian`, or 0 if that is below the threshold.
     """
 
-    threshold: float = 0.5
-    """g/m³; above 0."""
-    missed: float = 0.3
-    """p_m: probability of a missed detection, in [0, 1)."""
-    sensor_noise: float = 0.3
-    """α."""
-    environment_noise: float = 0.2
-    """β, g/m³."""
+    threshold: float = 0.5  # g/m³; above 0
+    missed: float = 0.3  # p_m: probability of a missed detection, in [0, 1)
+    sensor_noise: float = 0.3  # α
+    environment_noise: float = 0.2  # β, g/m³
 
     def _analog(self) -> Gaussian:
         return Gaussian(self.sensor_noise, self.environment_noise)
@@ -196,9 +185,9 @@ class Threshold:
         return np.where(np.asarray(reading) == 0.0, silent, heard)
 
     def entropy(self, mean: ArrayLike, noise: ArrayLike = 1.0, _cv: ArrayLike = 0.0) -> Array:
-        """Entropy of a reading at each mean concentration, nats: the probability of 0 together with the
-        density above the threshold.
+        """Entropy of a reading at each mean concentration, nats.
 
+        It is that of the probability of 0 together with the density above the threshold.
         noise: factor on the sensor's noise. Intermittency is not modelled.
         """
         from plume.numerics import (
@@ -224,8 +213,9 @@ class Threshold:
         return reading != 0.0
 
     def refusal(self, reading: float, greatest_mean: float) -> str | None:
-        """Reason why this sensor cannot give this reading if no concentration exceeds `greatest_mean`,
-        g/m³; None if it can.
+        """Reason why this sensor cannot give this reading; None if it can.
+
+        No concentration exceeds `greatest_mean`, g/m³.
         """
         high = greatest_mean + SURPRISE * float(self._analog().noise_std(greatest_mean))
         # Readings arrive rounded to float32, so the threshold is rounded too before they are compared.
@@ -234,20 +224,18 @@ class Threshold:
         return f"gas {reading:g} is absurd; allowed is 0 or {self.threshold:g} to {high:g} g/m³"
 
 
-MOST_HITS = 1e15
-"""Greatest mean count: of more, numpy draws none."""
+MOST_HITS = 1e15  # greatest mean count: of more, numpy draws none
 
 
 @dataclass(frozen=True)
 class Hits:
-    """A hit counter: the reading is a count k ~ Poisson(e m + b) (Vergassola et al. 2007; OTTO, Loisy and
-    Eloy 2022).
+    """A hit counter: the reading is a count k ~ Poisson(e m + b).
+
+    As in Vergassola et al. 2007 and OTTO (Loisy and Eloy 2022).
     """
 
-    efficiency: float = 3.0
-    """e: expected hits per reading and g/m³; above 0."""
-    background: float = 0.1
-    """b: expected hits per reading in clean air; above 0."""
+    efficiency: float = 3.0  # e: expected hits per reading and g/m³; above 0
+    background: float = 0.1  # b: expected hits per reading in clean air; above 0
 
     def measure(
         self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None, _noise: ArrayLike = 1.0
@@ -269,8 +257,9 @@ class Hits:
         return np.asarray(count * np.log(expected) - expected - _log_gamma(count + 1.0))
 
     def entropy(self, mean: ArrayLike, _noise: ArrayLike = 1.0, _cv: ArrayLike = 0.0) -> Array:
-        """Entropy of a count at each mean concentration, nats: a sum up to MANY expected hits, else the
-        asymptotic series (to 1e-5).
+        """Entropy of a count at each mean concentration, nats.
+
+        A sum up to MANY expected hits, else the asymptotic series (to 1e-5).
         """
         from plume.numerics import HALF_LOG_2PI, exp_each, log_each  # compiled: the vehicle starts without
 
@@ -297,8 +286,9 @@ class Hits:
         return False
 
     def refusal(self, reading: float, greatest_mean: float) -> str | None:
-        """Reason why this sensor cannot give this reading if no concentration exceeds `greatest_mean`,
-        g/m³; None if it can.
+        """Reason why this sensor cannot give this reading; None if it can.
+
+        No concentration exceeds `greatest_mean`, g/m³.
         """
         expected = self.efficiency * greatest_mean + self.background
         high = math.ceil(expected + SURPRISE * math.sqrt(expected) + SURPRISE)
@@ -317,14 +307,11 @@ KINDS: dict[str, type[Gaussian] | type[Threshold] | type[Hits]] = {
     "hits": Hits,
 }
 GAUSSIAN = Gaussian()
-GAUSSIAN_KIND, THRESHOLD_KIND, HITS_KIND = 0.0, 1.0, 2.0
-"""Kinds of sensors as compiled loops know them."""
+GAUSSIAN_KIND, THRESHOLD_KIND, HITS_KIND = 0.0, 1.0, 2.0  # kinds of sensors as compiled loops know them
 
 
 def parse(text: str) -> Sensor:
-    """Read a sensor from `kind` or `kind:number,number…`, the form of command lines and beliefs; raises
-    ValueError.
-    """
+    """Read a sensor from `kind` or `kind:number,number…`, as on command lines. Raises ValueError."""
     name, _, numbers = text.partition(":")
     if name not in KINDS:
         raise ValueError(

@@ -1,6 +1,4 @@
-"""The world that one mission flies in: it knows the source and returns the readings that a sensor would
-take.
-"""
+"""The world that one mission flies in: it knows the source, and gives a sensor's readings."""
 
 import math
 from collections.abc import Sequence
@@ -56,6 +54,7 @@ class World:
         self.sensor = sensor
         self.name = name
         self.errors = wrong = errors(name, seed)
+        # The scenario as it truly is, by which missions are judged.
         self.truth = msgspec.structs.replace(
             scenario,
             source=wrong.source or scenario.source,
@@ -65,11 +64,8 @@ class World:
             d=wrong.d * scenario.d,
             tau=wrong.tau * scenario.tau,
         )
-        """The scenario as it truly is, by which missions are judged."""
+        # (u cos φ, u sin φ) m/s, float32, as the anemometer reports it: points to where it comes from.
         self.wind = (float32(scenario.wind[0]), float32(scenario.wind[1]))
-        """(u cos φ, u sin φ) m/s as the anemometer reports it, float32 values: points to where the wind
-        comes from.
-        """
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
         truth = self.truth
         self._release = (*truth.source, truth.height, *truth.wind, truth.q, truth.d, truth.tau)
@@ -84,8 +80,9 @@ class World:
         self._strengths: list[float] = []
 
     def gas(self, position: tuple[float, float], step: int) -> float:
-        """Take gas reading number `step` (0 at the start) at a position (x, y) m; returns a float32 value
-        in the sensor's unit.
+        """Take gas reading number `step` (0 at the start) at a position (x, y) m.
+
+        Returns a float32 value in the sensor's unit.
         """
         return float(gas_of([self], np.array([position]), [step], self._noise)[0])
 
@@ -101,12 +98,12 @@ class World:
         )
 
     def _strength(self, step: int, noise: Keyed) -> float:
-        """The gas that reading `step` meets, by the plume's mean: gamma-distributed with mean 1 and
-        standard deviation cv.
+        """The gas that reading `step` meets, by the plume's mean.
 
-        Correlated gas follows the beta-gamma autoregressive process of Lewis, McKenzie and Hugus (1989),
-        whose marginals are gamma, too: X_n = B_n X_(n−1) + G_n with B ~ Beta(k ρ, k (1 − ρ)), G ~ Gamma(k
-        (1 − ρ)) and k = 1/cv² has the autocorrelation ρ^lag.
+        It is gamma-distributed with mean 1 and standard deviation cv. Correlated gas follows the beta-gamma
+        autoregressive process of Lewis, McKenzie and Hugus (1989), whose marginals are gamma, too:
+        X_n = B_n X_(n−1) + G_n with B ~ Beta(k ρ, k (1 − ρ)), G ~ Gamma(k (1 − ρ)) and k = 1/cv² has the
+        autocorrelation ρ^lag.
         """
         cv, correlation = self.errors.cv, self.errors.correlation
         if not cv:
@@ -127,8 +124,9 @@ class World:
         return self._strengths[step]
 
     def _stuck(self, step: int, noise: Keyed) -> float:
-        """The reading of a stuck sensor, one that it could give: a count is whole, and below its threshold
-        a sensor reads 0.
+        """The reading of a stuck sensor, one that it could give.
+
+        A count is whole, and below its threshold a sensor reads 0.
         """
         wrong = self.errors
         value = wrong.stuck_at + wrong.stuck_std * noise.at(self.seed, "stuck", step).standard_normal()

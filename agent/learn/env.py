@@ -5,6 +5,7 @@
 `gymnasium.make_vec` makes many at once.
 """
 
+import math
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -18,21 +19,21 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from agent.learn.missions import Missions
-from agent.learn.render import RENDERING, Frame, Onlooker, check
+from agent.learn.render import RENDERING, Onlooker, Pixels
 from agent.observation import BOUND, SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move
 from estimator.assumptions import ASSUMPTIONS
 from estimator.criterion import FORMS, USUAL_THRESHOLD_M, Criterion, chosen
+from plume.elementary import Array
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS
 from plume.worlds import AS_MODELLED, WORLDS
 
+# Training draws seeds below it. Seeds from it to a million are for validation, above for testing.
 TRAINING_SEEDS = 900_000
-"""Training draws seeds below it. Seeds from it to a million are for validation, above for testing."""
+# By name: reward of each step and of the stop.
 REWARDS: Mapping[str, tuple[float, float]] = {"paper": (0.0, 1.0), "cost": (-0.01, 1.0)}
-"""By name: reward of each step and of the stop."""
 
-Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
@@ -59,7 +60,6 @@ class Settings:
     stop: str | None = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError on a value that is not allowed."""
         if not isinstance(self.continuous, bool | np.bool_):
             raise ValueError(f"continuous {self.continuous!r} is not allowed; wanted True or False")
         for name, names in (
@@ -72,7 +72,7 @@ class Settings:
             if not isinstance(value, str) or value not in names:
                 raise ValueError(f"{name} {value!r} is not allowed; wanted {' or '.join(names)}")
         for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
-            _check_whole(name, getattr(self, name), least)
+            _whole(name, getattr(self, name), least)
         threshold_m: Any = self.threshold_m
         if (
             isinstance(threshold_m, bool)
@@ -126,11 +126,13 @@ class Settings:
 
         Raises ValueError on another mode than `rgb_array`.
         """
-        check(render_mode)
+        if render_mode not in (None, *RENDERING["render_modes"]):
+            raise ValueError(f"render_mode {render_mode!r} is not allowed; wanted None or 'rgb_array'")
         return Onlooker(self.criterion.text, self.assume, self.budget) if render_mode else None
 
     def actions(self, given: Any, *count: int) -> NDArray[Any]:
         """Return `count` actions as an array, (B,) or (B, 2); without a count a single one, () or (2,).
+
         Raises ActionError.
         """
         shape = (*count, 2) if self.continuous else count
@@ -159,9 +161,10 @@ class Settings:
             raise ActionError(f"action {value.tolist()}{of} is not allowed; {wanted}")
         return actions
 
-    def fly(self, missions: Missions, actions: NDArray[Any]) -> tuple[Floats, Flags, Flags]:
-        """Fly each mission to the waypoint of its action; returns rewards, terminated and truncated, (B,)
-        each.
+    def fly(self, missions: Missions, actions: NDArray[Any]) -> tuple[Array, Flags, Flags]:
+        """Fly each mission to the waypoint of its action.
+
+        Returns rewards, terminated and truncated, (B,) each.
         """
         missions.move(self.move.waypoints(missions.positions, missions.frames, actions, AREA_M))
         step, stop = REWARDS[self.reward]
@@ -170,9 +173,12 @@ class Settings:
         return np.where(terminated, step + stop, step), terminated, truncated
 
 
-def _check_whole(name: str, value: Any, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} {value!r} is not allowed; wanted a whole number from {least}")
+def _whole(name: str, value: Any, least: int, most: float = math.inf) -> int:
+    """Return a whole number within these limits. Raises ValueError."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
+        limit = "" if most == math.inf else f" to {most}"
+        raise ValueError(f"{name} {_short(value)} is not allowed; wanted a whole number from {least}{limit}")
+    return int(value)
 
 
 def _short(value: Any) -> str:
@@ -180,10 +186,7 @@ def _short(value: Any) -> str:
 
 
 def _seed(value: Any) -> int:
-    """Return a mission's seed. Raises ValueError."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= MAX_SEED:
-        raise ValueError(f"seed {_short(value)} is not allowed; wanted a whole number from 0 to {MAX_SEED}")
-    return int(value)
+    return _whole("seed", value, 0, MAX_SEED)
 
 
 def _refuse(options: Any) -> None:
@@ -193,6 +196,12 @@ def _refuse(options: Any) -> None:
             f"options {_short(options)} are not allowed; wanted none: the seed draws the start and all else "
             "of a mission"
         )
+
+
+def _begun(missions: Missions | None, call: str) -> Missions:
+    if missions is None:
+        raise gymnasium.error.ResetNeeded(f"call reset before {call}")
+    return missions
 
 
 def _told(missions: Missions) -> dict[str, Any]:
@@ -208,6 +217,10 @@ def _told(missions: Missions) -> dict[str, Any]:
         "distance_m": missions.distances_m.copy(),
         "located": missions.ceased & missions.located,
     }
+
+
+def _first(infos: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: values[0] for name, values in infos.items()}
 
 
 class SourceSearch(gymnasium.Env[Observation, Any]):
@@ -306,9 +319,7 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin a mission and take its first reading. Raises ValueError on a bad seed and on options:
-        there are none.
-        """
+        """Begin a mission and take its first reading. Raises ValueError on a bad seed, and on options."""
         _refuse(options)
         seed = None if seed is None else _seed(seed)
         super().reset(seed=seed)
@@ -317,47 +328,38 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         )
         if self.onlooker:
             self.onlooker.look(self.missions)
-        return self.missions.observations[0].copy(), self._info()
+        return self.missions.observations[0].copy(), _first(_told(self.missions))
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Fly to the waypoint of the action and take a reading there.
 
         Raises ActionError on one outside the action space.
         """
-        if self.missions is None:
-            raise gymnasium.error.ResetNeeded("call reset before step")
-        rewards, terminated, truncated = self.settings.fly(self.missions, self.settings.actions(action)[None])
+        missions = _begun(self.missions, "step")
+        rewards, terminated, truncated = self.settings.fly(missions, self.settings.actions(action)[None])
         if self.onlooker:
-            self.onlooker.look(self.missions)
+            self.onlooker.look(missions)
         return (
-            self.missions.observations[0].copy(),
+            missions.observations[0].copy(),
             float(rewards[0]),
             bool(terminated[0]),
             bool(truncated[0]),
-            self._info(),
+            _first(_told(missions)),
         )
 
-    def render(self) -> Frame | None:
-        """Return the picture of the mission, (540, 960, 3), with the true plume and source; None without a
-        `render_mode`.
-        """
-        if self.onlooker is None:
-            return None
-        if self.missions is None:
-            raise gymnasium.error.ResetNeeded("call reset before render")
-        return self.onlooker.frame(self.missions, 0)
+    def render(self) -> Pixels | None:
+        """Return the picture of the mission, (540, 960, 3), with the true plume and source.
 
-    def _info(self) -> dict[str, Any]:
-        assert self.missions is not None
-        return {name: values[0] for name, values in _told(self.missions).items()}
+        None without a `render_mode`.
+        """
+        return self.onlooker.frame(_begun(self.missions, "render"), 0) if self.onlooker else None
 
 
 class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
-    """Missions in parallel in this process, on the filter's batch kernels, each bit-identical to
-    `SourceSearch`.
+    """Missions in parallel in this process, each bit-identical to `SourceSearch`.
 
-    When a mission ends, the next one begins in the same step; `final_obs` and `final_info` are those of
-    the mission that ended.
+    They share the filter's batch kernels. When a mission ends, the next one begins in the same step;
+    `final_obs` and `final_info` are those of the mission that ended.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, **RENDERING}  # noqa: RUF012
@@ -370,7 +372,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         Raises like `SourceSearch`.
         """
         for name, value in (("num_envs", num_envs), ("threads", threads)):
-            _check_whole(name, value, 1)
+            _whole(name, value, 1)
         self.num_envs = num_envs
         self.settings = Settings.of(settings, "num_envs", "threads", "render_mode")
         self.render_mode = render_mode
@@ -385,10 +387,9 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence; without a seed, the
-        next ones drawn.
+        """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence.
 
-        Raises like `SourceSearch.reset`.
+        Without a seed, the next ones are drawn. Raises like `SourceSearch.reset`.
         """
         _refuse(options)
         if seed is None and self._draws:
@@ -420,9 +421,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
         On a wrong action raises ActionError and moves none.
         """
-        missions = self.missions
-        if missions is None:
-            raise gymnasium.error.ResetNeeded("call reset before step")
+        missions = _begun(self.missions, "step")
         rewards, terminated, truncated = self.settings.fly(
             missions, self.settings.actions(actions, self.num_envs)
         )
@@ -444,15 +443,12 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             self.onlooker.look(missions)
         return missions.observations.copy(), rewards, terminated, truncated, infos | _told(missions)
 
-    def render(self) -> tuple[Frame, ...] | None:
-        """Return the pictures of all missions, as `SourceSearch.render` does of one; None without a
-        `render_mode`.
-        """
+    def render(self) -> tuple[Pixels, ...] | None:
+        """Return the pictures of all missions, as `SourceSearch.render` does of one."""
         if self.onlooker is None:
             return None
-        if self.missions is None:
-            raise gymnasium.error.ResetNeeded("call reset before render")
-        return tuple(self.onlooker.frame(self.missions, i) for i in range(self.num_envs))
+        missions = _begun(self.missions, "render")
+        return tuple(self.onlooker.frame(missions, i) for i in range(self.num_envs))
 
     def _next(self, i: int) -> int:
         return int(self._draws[i].integers(TRAINING_SEEDS))

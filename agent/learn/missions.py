@@ -6,18 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import observation
-from agent.observation import FACTS, SCHEMAS
 from estimator.batch import Batch
 from estimator.criterion import Criterion
 from estimator.filter import Config
+from plume.elementary import Array, Indices
 from plume.randomness import Keyed, derived_seed
 from plume.scenario import SUCCESS_RADIUS_M, draw
 from plume.world import World, gas_of
 from plume.worlds import AS_MODELLED
 from scene.scene import Measurement, Scatter
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Facts that are means if they are unknown.
 UNKNOWN_FACTS = {"q": observation.RATE, "d": observation.DIFFUSIVITY, "tau": observation.LIFETIME}
@@ -38,7 +35,7 @@ class Missions:
     ) -> None:
         """Begin the mission of each seed in the world of this name and take its first reading."""
         count = len(seeds)
-        self._schema = SCHEMAS[schema]
+        self._schema = observation.SCHEMAS[schema]
         self._particles, self._criterion, self._assume = particles, criterion, assume
         self.seeds = np.array(seeds, np.int64)
         self.steps = np.zeros(count, np.int64)
@@ -46,29 +43,30 @@ class Missions:
         self.distances_m = np.zeros(count)
         self.spreads_m = np.empty(count)
         self.ceased = np.zeros(count, np.bool_)
-        self.frames = np.empty((count, 3))
-        """Frames of the observations, in which actions are given."""
+        self.frames = np.empty((count, 3))  # of the observations, in which actions are given
         self.observations = np.empty((count, self._schema.size), np.float32)
-        self.facts = np.empty((count, len(FACTS)))
-        """What is known of each mission: columns are FACTS."""
+        self.facts = np.empty((count, len(observation.FACTS)))  # what is known of each mission
         self._sources = np.empty((count, 2))
         self._noise = Keyed()
         self._world = world
-        self._worlds = [World(draw(seed), seed, name=world) for seed in self.seeds.tolist()]
+        # For judging and showing only.
+        self.worlds = [World(draw(seed), seed, name=world) for seed in self.seeds.tolist()]
         self._batch = Batch([self._told(mission) for mission in range(count)], threads)
+        self.estimates = self._batch.means[:, :2]  # (B, 2) m, which changes with the batch
         self._read(np.arange(count))
 
     def begin(self, missions: Indices, seeds: Sequence[int]) -> None:
         """Replace these missions by missions of other seeds."""
         self.seeds[missions] = seeds
         for mission, seed in zip(missions.tolist(), seeds, strict=True):
-            self._worlds[mission] = World(draw(seed), seed, name=self._world)
+            self.worlds[mission] = World(draw(seed), seed, name=self._world)
             self._batch.begin(mission, self._told(mission))
         self._read(missions)
 
     def move(self, waypoints: Array) -> None:
-        """Fly each mission to its waypoint and take a reading there. waypoints: (B, 2) m, float32 values
-        within the area.
+        """Fly each mission to its waypoint and take a reading there.
+
+        waypoints: (B, 2) m, float32 values within the area.
         """
         self.steps += 1
         self.distances_m += np.sqrt(np.square(waypoints - self.positions).sum(axis=1))
@@ -76,39 +74,31 @@ class Missions:
         self._read(np.arange(len(self.steps)))
 
     @property
-    def estimates(self) -> Array:
-        """(B, 2) m."""
-        return self._batch.means[:, :2]
-
-    @property
     def located(self) -> NDArray[np.bool_]:
         """Whether the estimate is within the success radius; for judging only."""
         errors_m: Array = np.sqrt(np.square(self.estimates - self._sources).sum(axis=1))
         return errors_m <= SUCCESS_RADIUS_M
-
-    @property
-    def worlds(self) -> Sequence[World]:
-        """The world of each mission; for judging and showing only."""
-        return self._worlds
 
     def measurement(self, mission: int) -> Measurement:
         """Return a mission's newest reading and the belief after it.
 
         The time is the step: there is no clock.
         """
-        step, (x, y), (east, north) = (
-            int(self.steps[mission]),
-            self.positions[mission].tolist(),
+        step, (x, y) = int(self.steps[mission]), self.positions[mission].tolist()
+        (east, north), ((xx, xy), (_, yy)) = (
             self.estimates[mission].tolist(),
+            self._batch.covariances[mission, :2, :2].tolist(),
         )
-        (xx, xy), (_, yy) = self._batch.covariances[mission, :2, :2].tolist()
-        gas, spread_m, ceased = (
-            self.facts[mission, observation.GAS],
-            self.spreads_m[mission],
-            self.ceased[mission],
-        )
+        gas, spread_m = float(self.facts[mission, observation.GAS]), float(self.spreads_m[mission])
         return Measurement(
-            step, float(step), (x, y), float(gas), float(spread_m), (east, north), (xx, xy, yy), bool(ceased)
+            step,
+            float(step),
+            (x, y),
+            gas,
+            spread_m,
+            (east, north),
+            (xx, xy, yy),
+            bool(self.ceased[mission]),
         )
 
     def scatter(self, mission: int) -> Scatter:
@@ -121,7 +111,7 @@ class Missions:
 
     def _told(self, mission: int) -> Config:
         """Set a mission to the start of its world; returns its estimator's configuration."""
-        world, seed = self._worlds[mission], int(self.seeds[mission])
+        world, seed = self.worlds[mission], int(self.seeds[mission])
         scenario = world.scenario
         self.steps[mission], self.distances_m[mission], self.ceased[mission] = 0, 0.0, False
         self.positions[mission], self._sources[mission] = world.start, world.truth.source
@@ -141,9 +131,11 @@ class Missions:
         """Take a reading in each of these missions; update beliefs, observations and stops."""
         facts = self.facts
         facts[missions, : observation.GAS] = self.positions[missions]
-        worlds = [self._worlds[mission] for mission in missions.tolist()]
         facts[missions, observation.GAS] = gas_of(
-            worlds, self.positions[missions], self.steps[missions].tolist(), self._noise
+            [self.worlds[mission] for mission in missions.tolist()],
+            self.positions[missions],
+            self.steps[missions].tolist(),
+            self._noise,
         )
         readings = np.zeros((len(missions), 7))
         readings[:, :2] = self.positions[missions]

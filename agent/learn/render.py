@@ -17,24 +17,17 @@ from scene.scene import Backdrop, Craft, Ending, Measurement, Release, Scene, ju
 # The metadata of an environment about its pictures.
 RENDERING: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FRAMES_PER_S}
 
-Frame = NDArray[np.uint8]  # (540, 960, 3)
-
-
-def check(render_mode: str | None) -> None:
-    """Raise ValueError if it is not allowed."""
-    if render_mode not in (None, *RENDERING["render_modes"]):
-        raise ValueError(f"render_mode {render_mode!r} is not allowed; wanted None or 'rgb_array'")
+Pixels = NDArray[np.uint8]  # (540, 960, 3)
 
 
 class Onlooker:
     """Looks at missions and draws them. It knows the truth, and changes nothing."""
 
     def __init__(self, stop: str, assume: str, budget: int) -> None:
-        """Take what a picture says of the settings; `stop` in the form of --stop."""
         self._stop, self._assume, self._budget = stop, assume, budget
         self._taken: list[list[Measurement]] = []
+        # One of scene/drawing.py for each mission; None until it is drawn.
         self._drawings: list[Any] = []
-        """One of scene/drawing.py for each mission; None until it is drawn."""
 
     def look(self, missions: Missions) -> None:
         """Note the newest reading of each mission. To be called after each reset and step."""
@@ -47,7 +40,7 @@ class Onlooker:
                 self._drawings[i] = None
             taken.append(missions.measurement(i))
 
-    def frame(self, missions: Missions, i: int) -> Frame:
+    def frame(self, missions: Missions, i: int) -> Pixels:
         """Return the picture of mission i, (540, 960, 3).
 
         Raises gymnasium's DependencyNotInstalled without matplotlib.
@@ -61,8 +54,7 @@ class Onlooker:
         scene = self.scene(missions, i)
         if self._drawings[i] is None:
             self._drawings[i] = Drawing(scene, steps=min(self._budget, 30))
-        frame: Frame = self._drawings[i].show(scene).pixels()
-        return frame
+        return np.asarray(self._drawings[i].show(scene).pixels())
 
     def scene(self, missions: Missions, i: int) -> Scene:
         """Return what there is to see of mission i."""
@@ -94,8 +86,6 @@ class Onlooker:
 
 
 def _heading(track: NDArray[np.float32]) -> float:
-    """Return the direction of the last move, counter-clockwise from east; NaN before the first and after
-    one of no length.
-    """
+    """Return the direction of the last move, counter-clockwise from east; NaN where there is none."""
     x, y = (track[-1] - track[-2]).tolist() if len(track) > 1 else (0.0, 0.0)
     return math.atan2(y, x) if x or y else math.nan

@@ -14,15 +14,16 @@ class StableBaselinesEnv(VecEnv):
     """`SourceSearchVector` with the interface of stable-baselines3."""
 
     def __init__(self, vector: SourceSearchVector) -> None:
-        """Wrap a vector environment."""
         self.vector = vector
         self._actions: NDArray[Any] = np.empty(0)
         super().__init__(vector.num_envs, vector.single_observation_space, vector.single_action_space)
 
     def reset(self) -> NDArray[np.float32]:
         """Begin new missions. Raises ValueError if options have been set: there are none."""
-        options = next(filter(None, self._options), None)
-        observations, _ = self.vector.reset(seed=self._seeds[0], options=options)  # the others follow
+        # The first mission's seed and options stand for all.
+        observations, _ = self.vector.reset(
+            seed=self._seeds[0], options=next(filter(None, self._options), None)
+        )
         self._reset_seeds()
         return observations
 

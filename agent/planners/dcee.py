@@ -8,10 +8,10 @@ from link.bus.messages import Belief, Particles
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The move p' with the least E[‖p' − ŝ'‖² + tr Cov'] (Chen, Rhodes, Liu 2021); ŝ' and Cov' belong to
-    the belief after a reading at p'.
+    """The move p' with the least E[‖p' − ŝ'‖² + tr Cov'] (Chen, Rhodes, Liu 2021).
 
-    The sum of both terms is the expected squared distance from p' to the source under that belief.
+    ŝ' and Cov' belong to the belief after a reading at p'. The sum of both terms is the expected squared
+    distance from p' to the source under that belief.
     """
     moves = reach.moves(belief.position)
     hypotheses = cloud(belief, particles)

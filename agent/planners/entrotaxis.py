@@ -9,8 +9,7 @@ from plume.sensor import parse
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The move where the predictive distribution of the reading has the greatest entropy (Hutchinson et
-    al. 2018).
+    """The move where the reading's predictive distribution has the greatest entropy (Hutchinson 2018).
 
     H(z) = I(z; source) + E[H(z | source)]. The second term follows from the sensor, so only the first is
     estimated from hypothetical readings. The mean of −log p(z) estimates the same, with much more scatter.

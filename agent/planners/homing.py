@@ -11,26 +11,20 @@ from link.bus.messages import Belief, Particles
 from plume.numerics import exp_each, log_each
 
 REACH = Reach(headings=8, measurements=100)
-PARTICLES = 500
-"""Most particles used for planning."""
-AHEAD = 2.0
-"""Distance of the hypothetical readings, steps: a reading one step ahead hardly changes the belief."""
-WEIGHT = 4.0
-"""c: metres of flight that a metre of spread is expected to cost."""
+PARTICLES = 500  # most particles used for planning
+AHEAD = 2.0  # steps to the hypothetical readings: one a step ahead hardly changes the belief
+WEIGHT = 4.0  # c: metres of flight that a metre of spread is expected to cost
+# Metres by which the expected flight must shorten for each metre flown, or the belief's middle is a dead end.
 PROGRESS = 0.75
-"""Metres by which the expected flight must shorten for each metre flown; otherwise the middle of the
-belief is a dead end.
-"""
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The move with the least D(p) + c · E[spread after a reading at p], p two steps ahead; the spread S
-    is `entropy_spread`.
+    """The move with the least D(p) + c · E[spread after a reading at p], p two steps ahead.
 
-    D(p) is E‖p − s‖, over the current belief: by the law of total expectation, a reading does not change
-    it on average. Where no move lessens the score by PROGRESS a metre, D(p) is −S log E exp(−‖p − s‖/S)
-    instead: the distance to the nearest part of the belief, and S more for each factor e by which that
-    part is improbable.
+    The spread S is `entropy_spread`. D(p) is E‖p − s‖, over the current belief: by the law of total
+    expectation, a reading does not change it on average. Where no move lessens the score by PROGRESS a metre,
+    D(p) is −S log E exp(−‖p − s‖/S) instead: the distance to the nearest part of the belief, and S more for
+    each factor e by which that part is improbable.
     """
     moves = reach.moves(belief.position)
     places = np.clip(belief.position + AHEAD * (moves - belief.position), 0.0, reach.area_m)
@@ -44,8 +38,7 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     flown = lengths(places - belief.position)
     if np.all(scores > here - PROGRESS * flown):
         nearest = distances.min(axis=1, where=hypotheses.weights > 0, initial=np.inf)
-        shares = hypotheses.mean(
-            exp_each(np.minimum(nearest[:, None] - distances, 0.0) / spread)
-        )  # of e^(nearest/S), against underflow
+        # Shares of e^(nearest/S), against underflow.
+        shares = hypotheses.mean(exp_each(np.minimum(nearest[:, None] - distances, 0.0) / spread))
         scores = nearest - spread * log_each(shares) + WEIGHT * spreads
     return int(np.argmin(scores))

@@ -8,21 +8,15 @@ from link.bus.messages import Belief, Particles
 from plume.numerics import exp_each
 
 REACH = Reach(headings=8, measurements=50)
-PARTICLES = 500
-"""Most particles used for planning."""
-AHEAD = (2.0, 4.0)
-"""Distances of the hypothetical readings, steps. Not every step, since neighbouring readings are nearly
-redundant.
-"""
-WEIGHT = 4.0
-"""c: metres of flight that a metre of spread is expected to cost."""
+PARTICLES = 500  # most particles used for planning
+AHEAD = (2.0, 4.0)  # steps to the hypothetical readings; not every step: neighbours are nearly redundant
+WEIGHT = 4.0  # c: metres of flight that a metre of spread is expected to cost
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The first move of the path with the least (metres flown to p) + E‖p − s‖ + c · E[spread], p being
-    the best place on the path.
+    """The first move of the path with the least (metres flown to p) + E‖p − s‖ + c · E[spread].
 
-    The spread is `entropy_spread` after readings at all places up to p.
+    p is the best place on the path. The spread is `entropy_spread` after readings at all places up to p.
     """
     moves = reach.moves(belief.position)
     ahead = np.array(AHEAD)[:, None]

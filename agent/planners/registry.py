@@ -10,9 +10,10 @@ import numpy as np
 from agent.planning.moves import Reach
 from link.bus.messages import Belief, Particles
 
+# (belief, particles, reach, keyed random generator) -> index into `reach.moves(belief.position)`.
 Planner = Callable[[Belief, Particles, Reach, np.random.Generator], int]
-"""(belief, particles, reach, keyed random generator) -> index into `reach.moves(belief.position)`."""
 
+# Module of each planner by name; it is imported on first use.
 PLANNERS = {
     "infotaxis": "agent.planners.infotaxis",
     "entrotaxis": "agent.planners.entrotaxis",
@@ -26,13 +27,10 @@ PLANNERS = {
     "lookahead": "agent.planners.lookahead",
     "homing": "agent.planners.homing",
 }
-"""Module of each planner by name; it is imported on first use."""
 
 
 def reach(name: str, given: Mapping[str, float] = MappingProxyType({})) -> Reach:
-    """Return a planner's reach: the `given` fields of `Reach`; for the others the planner's own `REACH`,
-    or the defaults if it has none.
-    """
+    """Return a planner's reach: the `given` fields, and the planner's own `REACH` or the defaults else."""
     return replace(getattr(import_module(PLANNERS[name]), "REACH", Reach()), **given)
 
 

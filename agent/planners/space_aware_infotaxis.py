@@ -7,10 +7,8 @@ from agent.planning.predict import cloud, imagine, shares_of_cells
 from link.bus.messages import Belief, Particles
 from plume.numerics import exp_each, log_each
 
+# Side of the cells in which entropy is computed, m: Loisy and Eloy's world is a grid with a cell per step.
 CELL_M = 1.0
-"""Side of the cells in which entropy is computed, m: Loisy and Eloy's world is a grid with a cell per
-step.
-"""
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:

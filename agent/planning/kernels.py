@@ -1,42 +1,35 @@
-"""The planners' fused loops, compiled by numba and cached: they reweight a belief by hypothetical
-readings.
+"""The planners' fused loops: they reweight a belief by hypothetical readings.
 
-Plain IEEE arithmetic in a fixed order: bit-identical on every machine and in every run.
+Compiled by numba and cached. Plain IEEE arithmetic in a fixed order: bit-identical on every machine and in
+every run.
 """
 
 import math
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
+from plume.elementary import Array, Indices
 from plume.numerics import HALF_LOG_2PI, direction, erfc, exp, fma, log, log1p, total_of
 from plume.sensor import HITS_KIND, THRESHOLD_KIND
-
-Array = NDArray[np.float64]
 
 # Particles per block; the intermediate arrays of a block stay in the processor's first-level cache.
 BLOCK = 1024
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _variance(mean: float, noise: float, cv: float, sensor: Array) -> float:
-    """Variance of a reading: the sensor's noise, times the squared factor `noise`, and the gas's own with
-    this intermittency.
-    """
-    result: float = (
+    """Variance of a reading: the sensor's, times the squared factor `noise`, and the gas's own by its cv."""
+    return float(
         noise * noise * (sensor[1] * sensor[1] * mean * mean + sensor[2] * sensor[2]) + cv * cv * mean * mean
     )
-    return result
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _exponents(
     means: Array, noises: Array, sensor: Array, quadratic: Array, linear: Array, constant: Array
 ) -> None:
-    """Fill the coefficients of the log-likelihood of a reading z under each particle: quadratic · z² +
-    linear · z + constant.
+    """Fill in the log-likelihood of a reading z under each particle: quadratic · z² + linear · z + constant.
 
     A reading in intermittent gas is taken to be normal, with its true mean and variance: the exact density
     is no quadratic and takes far longer (docs/planners.md compares them). For hits, the term −log z! is
@@ -57,7 +50,7 @@ def _exponents(
             constant[i] = -0.5 * (means[i] * means[i] * inverse + log(variance)) - offset
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _silence(means: Array, noises: Array, sensor: Array, constant: Array) -> None:
     """Fill `constant` with the log-probability that a threshold sensor reads 0, under each particle."""
     for i in range(len(means)):
@@ -66,7 +59,7 @@ def _silence(means: Array, noises: Array, sensor: Array, constant: Array) -> Non
         constant[i] = log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _likelihoods(
     one: Array,
     two: Array,
@@ -78,10 +71,9 @@ def _likelihoods(
     likelihoods: Array,
     products: Array,
 ) -> None:
-    """Fill `likelihoods` with w L and `products` with w L log L of a reading z under a block of particles;
-    L is relative to `own`.
+    """Fill `likelihoods` with w L and `products` with w L log L of a reading z under a block of particles.
 
-    Two loops with few arrays each: with more arrays LLVM cannot rule out aliasing.
+    L is relative to `own`. Two loops with few arrays each: with more arrays LLVM cannot rule out aliasing.
     """
     for i in range(len(weights)):
         exponents[i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
@@ -90,7 +82,7 @@ def _likelihoods(
         products[i] = likelihoods[i] * exponents[i]
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _reweight(
     one: Array,
     two: Array,
@@ -102,13 +94,14 @@ def _reweight(
     buffers: Array,
     sums: Array,
 ) -> None:
-    """Reweight by a reading z: fill `sums` with Σ w L, Σ w L log L and Σ w L v for each row v of values
-    (F, N). buffers: (3, BLOCK).
+    """Reweight by a reading z: fill `sums` with Σ w L, Σ w L log L and Σ w L v for each row v of values.
+
+    values: (F, N).  buffers: (3, BLOCK).
     """
     sums[:] = 0.0
     for start in range(0, len(weights), BLOCK):
-        part = slice(start, min(start + BLOCK, len(weights)))
-        size = part.stop - start
+        size = min(BLOCK, len(weights) - start)
+        part = slice(start, start + size)
         likelihoods, products = buffers[0, :size], buffers[1, :size]
         _likelihoods(
             one[part], two[part], three[part], z, own, weights[part], buffers[2, :size], likelihoods, products
@@ -132,7 +125,7 @@ def imagine(
     means: Array,
     weights: Array,
     values: Array,
-    imagined: NDArray[np.int64],
+    imagined: Indices,
     readings: Array,
     sensor: Array,
     noises: Array,

@@ -5,26 +5,19 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.elementary import direction
+from plume.elementary import Array, direction
 from plume.scenario import AREA_M, STEP_M
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Reach:
     """The moves that a planner may choose from, and its number of hypothetical readings."""
 
-    headings: int = 4
-    """Number of headings, evenly spaced; the first is east."""
-    step: float = STEP_M
-    """Length of a move, m."""
-    measurements: int = 25
-    """Hypothetical readings for each move."""
-    area_m: float = AREA_M
-    """Side of the search area, m."""
+    headings: int = 4  # number of headings, evenly spaced; the first is east
+    step: float = STEP_M  # length of a move, m
+    measurements: int = 25  # hypothetical readings for each move
+    area_m: float = AREA_M  # side of the search area, m
 
     @cached_property
     def edge(self) -> float:
@@ -33,9 +26,7 @@ class Reach:
         return float(edge if float(edge) <= self.area_m else np.nextafter(edge, np.float32(0)))
 
     def moves(self, position: tuple[float, float]) -> Array:
-        """Return the waypoints (A, 2) m that one step reaches inside the area; float32 values, as on the
-        wire.
-        """
+        """Return the waypoints (A, 2) m that one step reaches in the area; float32 values, as on the wire."""
         places = (np.asarray(position) + self.step * self.directions).astype(np.float32).astype(np.float64)
         return places[((places >= 0) & (places <= self.area_m)).all(axis=1)]
 
@@ -46,8 +37,9 @@ class Reach:
 
 
 class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", forbid_unknown_fields=True):
-    """Discrete actions: a step in one of `count` evenly spaced directions of the observation's frame; the
-    first is along its x axis.
+    """Discrete actions: a step in one of `count` evenly spaced directions of the observation's frame.
+
+    The first is along its x axis.
     """
 
     count: int
@@ -87,8 +79,9 @@ class HeadingAndStep(
         return said
 
     def waypoints(self, positions: Array, frames: Array, actions: Array, area_m: float) -> Array:
-        """Return the waypoints (B, 2) m of actions (B, 2) from positions (B, 2) m; actions are clipped to
-        [−1, 1]. frames: (B, 3).
+        """Return the waypoints (B, 2) m of actions (B, 2), clipped to [−1, 1], from positions (B, 2) m.
+
+        frames: (B, 3).
         """
         heading, share = np.clip(np.asarray(actions, np.float64).T, -1.0, 1.0)
         return _moved(positions, frames, heading / 2, self.step_m * (share + 1) / 2, area_m)
@@ -101,9 +94,8 @@ def _moved(positions: Array, frames: Array, turns: Array, lengths: Array, area_m
     """Return the waypoints (B, 2) of moves at angles in turns, clipped to the area; float32 values."""
     from agent.planning.kernels import displacements  # compiled: naming a policy does not need it
 
-    places: Array = (
+    return (
         np.clip(positions + displacements(frames, turns, lengths), 0.0, area_m)
         .astype(np.float32)
         .astype(np.float64)
     )
-    return places

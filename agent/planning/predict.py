@@ -4,19 +4,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning import kernels
 from link.bus.messages import Belief, Particles
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.elementary import Array
 from plume.intermittency import SMALLEST_CV
 from plume.kernels import mean_concentrations
 from plume.numerics import exp_each, log_each
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import standard_gamma
 from plume.sensor import Gaussian, Sensor, parse, sensor_row
-
-Array = NDArray[np.float64]
 
 CELLS_A_SPREAD = 4  # cells per spread in `entropy_spread`
 # Most cells of a grid that is counted in whole; cells beyond ±FAR count as those at ±FAR.
@@ -37,14 +35,12 @@ class Cloud:
 
     def mean(self, values: Array) -> Array:
         """Return the mean of values (..., N) of the particles: (...)."""
-        means: Array = (values * self.weights).sum(axis=-1)
-        return means
+        return np.asarray((values * self.weights).sum(axis=-1))
 
     def distances(self, places: Array) -> Array:
         """Return the distances of the particles from places (..., 2) m: (..., N) m."""
         east, north = (places[..., axis, None] - self.places[axis] for axis in (0, 1))
-        distances: Array = np.sqrt(east * east + north * north)
-        return distances
+        return np.asarray(np.sqrt(east * east + north * north))
 
     def thinned(self, most: int) -> "Cloud":
         """Return a cloud of at most `most` evenly spaced particles: planning needs fewer than estimating."""
@@ -55,8 +51,9 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Imagined:
-    """A belief after hypothetical readings: K readings at each of A places, drawn from the belief's
-    predictive distribution there.
+    """A belief after hypothetical readings: K at each of A places.
+
+    They are drawn from the belief's predictive distribution there.
     """
 
     log_predictive: Array  # (A, K): log predictive density of each reading. For hits, log z! is left out.
@@ -86,8 +83,7 @@ def cloud(belief: Belief, particles: Particles) -> Cloud:
 
 def lengths(vectors: Array) -> Array:
     """Return the lengths (...) of vectors (..., 2)."""
-    result: Array = np.sqrt(np.square(vectors).sum(axis=-1))
-    return result
+    return np.asarray(np.sqrt(np.square(vectors).sum(axis=-1)))
 
 
 def _names(belief: Belief) -> tuple[str, ...]:
@@ -110,17 +106,13 @@ def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
     names = _names(belief)
     known = {"z": belief.z, "q": belief.rate, "d": belief.diffusivity, "tau": belief.lifetime, **NEUTRAL}
     priors = np.zeros((len(PARAMETERS), 5))
-    priors[:, 0] = KNOWN
+    priors[:, 0] = [MEASURED if name in {"u", "phi"} - {*names} else KNOWN for name in PARAMETERS]
     priors[:, 1] = [known.get(name, 0.0) for name in PARAMETERS]
-    for name in ("u", "phi"):
-        if name not in names:
-            priors[PARAMETERS.index(name), 0] = MEASURED
     readings = np.empty((len(places), 5))
     readings[:, :2] = places
     readings[:, 2:] = belief.altitude_m, *belief.wind
     unknowns = np.array([PARAMETERS.index(name) for name in names])
-    means: Array = mean_concentrations(hypotheses.values, unknowns, priors, readings)
-    return means
+    return mean_concentrations(hypotheses.values, unknowns, priors, readings)
 
 
 def imagine(
@@ -131,12 +123,11 @@ def imagine(
     rng: np.random.Generator,
     values: Array | None = None,
 ) -> Imagined:
-    """Draw `number` readings at each place (A, 2) m from the predictive distribution there, and reweight
-    the belief by each.
+    """Draw `number` readings at each place (A, 2) m, and reweight the belief by each.
 
-    values: (F, N) or (A, F, N) values of the particles, whose expectations are wanted.  The draws are
-    stratified over the belief. All places share the same random numbers, so that chance does not decide
-    between them.
+    They are drawn from the predictive distribution there. values: (F, N) or (A, F, N) values of the
+    particles, whose expectations are wanted.  The draws are stratified over the belief. All places share the
+    same random numbers, so that chance does not decide between them.
     """
     if values is not None:
         values = values[None, None] if values.ndim == 2 else values[:, None]
@@ -158,8 +149,9 @@ def imagine_along(
     rng: np.random.Generator,
     values: Array | None = None,
 ) -> Imagined:
-    """Do the same along paths (A, L, 2) m: results (A, L, K) at a place include the path's readings before
-    it. values: (A, L, F, N).
+    """Do the same along paths (A, L, 2) m: results (A, L, K) include the path's readings before a place.
+
+    values: (A, L, F, N).
     """
     sensor = parse(belief.sensor)
     means = concentrations(belief, hypotheses, paths.reshape(-1, 2)).reshape(*paths.shape[:2], -1)
@@ -183,9 +175,7 @@ def imagine_along(
 
 
 def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Generator) -> Array:
-    """Draw a reading (K,) for each mean (K,), with each one's factor on the sensor's noise and
-    intermittency of the gas, (2, K).
-    """
+    """Draw a reading (K,) for each mean (K,), with its own noise factor and intermittency, (2, K)."""
     factors, cvs = noises
     gas = None
     if cvs.any():
@@ -195,11 +185,10 @@ def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Genera
 
 
 def entropy_spread(hypotheses: Cloud, spread: float) -> float:
-    """Spread of the round normal distribution with the same entropy H as the location's, m: sqrt(exp(H)/(π
-    e)), H in nats (m²).
+    """Spread of the round normal distribution with the same entropy H as the location's, m.
 
-    H is computed from cells with a side of a quarter of the spread. If half of a disc is ruled out, the
-    entropy spread shrinks, while the spread itself need not.
+    It is sqrt(exp(H)/(π e)), H in nats (m²). H is computed from cells with a side of a quarter of the spread.
+    If half of a disc is ruled out, the entropy spread shrinks, while the spread itself need not.
     """
     cell = max(spread, SOURCE_RADIUS_M) / CELLS_A_SPREAD
     shares = shares_of_cells(hypotheses, cell)
@@ -207,9 +196,7 @@ def entropy_spread(hypotheses: Cloud, spread: float) -> float:
 
 
 def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
-    """Return the belief's weight in each square cell of this side (m) that has any, in order of column and
-    row.
-    """
+    """Return the belief's weight in each square cell of this side (m) that has any, by column and row."""
     columns, rows = np.clip(np.floor(hypotheses.places / cell), -FAR, FAR).astype(np.int64)
     rows -= rows.min()
     numbers = (columns - columns.min()) * (1 + rows.max()) + rows
@@ -222,13 +209,9 @@ def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
 def variances(
     belief: Belief, hypotheses: Cloud, places: Array, number: int, rng: np.random.Generator
 ) -> Array:
-    """Trace of the location's covariance after each of `number` hypothetical readings at each place (A, 2)
-    m: (A, K) m².
-    """
-    offsets = (
-        hypotheses.places - hypotheses.mean(hypotheses.places)[:, None]
-    )  # offsets from the mean limit cancellation below
+    """Trace of the location's covariance after hypothetical readings at places (A, 2) m: (A, K) m²."""
+    # Offsets from the mean limit cancellation below.
+    offsets = hypotheses.places - hypotheses.mean(hypotheses.places)[:, None]
     values = np.vstack([offsets, np.square(offsets).sum(axis=0)])
     expected = imagine(belief, hypotheses, places, number, rng, values).expectations
-    traces: Array = np.maximum(expected[:, :, 2] - np.square(expected[:, :, :2]).sum(axis=2), 0.0)
-    return traces
+    return np.asarray(np.maximum(expected[:, :, 2] - np.square(expected[:, :, :2]).sum(axis=2), 0.0))

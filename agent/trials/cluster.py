@@ -15,26 +15,23 @@ from typing import Any
 from agent.trials.figures import MissionRow
 from agent.trials.sweep import Flight, Sweep, code
 from agent.trials.workers import THREADS
+from link.cli import BadInput
 
 # Tasks handed out at once: more than a cluster flies in the second between two polls, without holding ten
 # million in memory.
-AHEAD = 10_000
-
-
-class ClusterError(Exception):
-    """The cluster cannot fly a sweep; the message says why in one line."""
+HANDED_OUT = 10_000
 
 
 def join(address: str) -> None:
     """Join the Ray cluster at an address: HOST:PORT of its head, or auto.
 
-    This machine must be one of its nodes. Raises ClusterError.
+    This machine must be one of its nodes. Raises BadInput.
     """
     os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "1")  # each retry takes 40 s
     try:
         import ray
     except ImportError:
-        raise ClusterError("Ray is not installed; pip install 'plumeward[ray]'") from None
+        raise BadInput("--ray: Ray is not installed; pip install 'plumeward[ray]'") from None
     terminate = signal.getsignal(signal.SIGTERM)
     try:
         if address != "auto":
@@ -50,15 +47,17 @@ def join(address: str) -> None:
         )
     except (OSError, RuntimeError, ValueError) as error:
         why = str(error.__cause__ or error).strip().splitlines()[-1].partition(". ")[0].rstrip(".")
-        allowed = "HOST:PORT of a Ray cluster that this machine is in, or auto"
-        raise ClusterError(f"cannot join {address!r} ({why}); wanted {allowed}") from error
+        raise BadInput(
+            f"--ray: cannot join {address!r} ({why}); wanted HOST:PORT of a Ray cluster that this machine is "
+            "in, or auto"
+        ) from error
     signal.signal(signal.SIGTERM, terminate)  # Ray replaces the handler
 
 
 def on_cluster(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[list[MissionRow], None, None]:
     """Fly on the cluster that `join` joined, then leave it.
 
-    Raises ClusterError where a node has other code.
+    Raises BadInput where a node has other code.
     """
     import ray
 
@@ -81,14 +80,15 @@ def on_cluster(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[lis
         left = iter(tasks)
         waiting: list[Any] = []
         while waiting := waiting + [
-            remote.remote(pickle.dumps((sweep, flights))) for flights in islice(left, AHEAD - len(waiting))
+            remote.remote(pickle.dumps((sweep, flights)))
+            for flights in islice(left, HANDED_OUT - len(waiting))
         ]:
             finished, waiting = ray.wait(waiting, num_returns=len(waiting), timeout=1)
             for flown in ray.get(finished):
                 if isinstance(flown, str):
-                    raise ClusterError(
-                        f"node {flown!r} has other versions of plumeward, numpy or numba; install those of "
-                        "this machine"
+                    raise BadInput(
+                        f"--ray: node {flown!r} has other versions of plumeward, numpy or numba; "
+                        "install those of this machine"
                     )
                 yield from flown
     finally:

@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, TextIO, cast
+from typing import IO, Any, TextIO, cast
 
 import msgspec
 
@@ -29,9 +29,6 @@ from link.terminal import Column, table, tell, width_of
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
 from plume.worlds import AS_MODELLED, WORLDS, check
-
-if TYPE_CHECKING:
-    from agent.trials.sweep import Sweep
 
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
@@ -137,13 +134,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly the missions and print their figures; returns the exit status."""
-    from agent.trials.cluster import (
-        ClusterError,
-        join,
-    )  # here, and below: they load the kernels, which help does not need
-    from agent.trials.sweep import Sweep
+    """Fly the missions and print their figures; returns the exit status. Raises BadInput."""
+    try:
+        for name in args.policy:
+            reach(name, cli.reach_given(args))
+    except ValueError as error:
+        raise cli.BadInput(str(error)) from error
+    if args.missions and (
+        refusal := cli.unwritable("--missions", [args.missions], args.force or args.resume)
+    ):
+        raise cli.BadInput(refusal)
+    there: list[MissionRow] = []
+    try:
+        if args.resume and args.missions and args.missions.exists():
+            there = read_csv(args.missions)
+    except (OSError, ValueError) as error:
+        raise cli.BadInput(f"--missions: {error}") from error
+    return _evaluate(there, args)
 
+
+def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
+    # Here, because they load the kernels, which help does not need.
+    from agent.trials.cluster import join, on_cluster
+    from agent.trials.sweep import Sweep, complete, flown, journal_of, kept, on_cores
+
+    if args.ray:
+        tell(f"joining the Ray cluster at {args.ray}")
+        join(args.ray)
     sweep = Sweep(
         args.policy,
         range(args.first_seed, args.first_seed + args.scenarios),
@@ -154,38 +171,6 @@ def run(args: argparse.Namespace) -> int:
         args.knowledge,
         worlds=args.world,
     )
-    try:
-        for name in args.policy:
-            reach(name, cli.reach_given(args))
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
-    if refusal := cli.unwritable(
-        "--missions", [args.missions] if args.missions else [], args.force or args.resume
-    ):
-        print(f"error: {refusal}", file=sys.stderr)
-        return cli.BAD_INPUT
-    there: list[MissionRow] = []
-    try:
-        if args.resume and args.missions and args.missions.exists():
-            there = read_csv(args.missions)
-    except (OSError, ValueError) as error:
-        print(f"error: --missions: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
-    try:
-        if args.ray:
-            tell(f"joining the Ray cluster at {args.ray}")
-            join(args.ray)
-        return _evaluate(sweep, there, args)
-    except ClusterError as error:
-        print(f"error: --ray: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
-
-
-def _evaluate(sweep: "Sweep", there: Sequence[MissionRow], args: argparse.Namespace) -> int:
-    from agent.trials.cluster import on_cluster
-    from agent.trials.sweep import complete, flown, journal_of, kept, on_cores
-
     journal = journal_of(sweep, KEPT_IN)
     workers = f"{args.workers} worker{'s' * (args.workers > 1)}"
     flyer, starting = (
@@ -212,12 +197,9 @@ def _evaluate(sweep: "Sweep", there: Sequence[MissionRow], args: argparse.Namesp
             others = [row for row in there if (row.flight, row.criterion) not in new]
             write_csv([*others, *rows], args.missions)
         except OSError as error:
-            print(
-                f"error: --missions: {error}; the missions are saved: run the command again with another "
-                "file",
-                file=sys.stderr,
-            )
-            return cli.BAD_INPUT
+            raise cli.BadInput(
+                f"--missions: {error}; the missions are saved: run the command again with another file"
+            ) from error
     result = named(rows)
     taken = args.json or (args.missions and _is_stdout(args.missions))
     print_table(result, sys.stderr if taken else sys.stdout, "--json")
@@ -304,19 +286,25 @@ def _row(said: dict[str | None, str]) -> MissionRow:
 
 
 def _open(path: Path, mode: str, *, compressed: bool) -> IO[str]:
-    opener = gzip.open if compressed else open
-    return cast(IO[str], opener(path, mode, newline=""))
+    return cast(IO[str], (gzip.open if compressed else open)(path, mode, newline=""))
 
 
 def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> None:
-    """Print the figures of `named` as a table, for people; `elsewhere` says how to see what a narrow
-    terminal leaves out.
+    """Print the figures of `named` as a table, for people.
+
+    `elsewhere` says how to see what a narrow terminal leaves out.
     """
     said = list(result.values())
+    # ζ tells the stop, unless a row has another criterion.
+    stops = (
+        {"stop": [row["stop"] for row in said]}
+        if any(row["threshold_m"] is None for row in said)
+        else {"ζ, m": [f"{row['threshold_m']:g}" for row in said]}
+    )
     settings = {
         "world": [row["world"] for row in said],
         "N": [f"{row['particles']:,}" for row in said],
-        **_stops(said),
+        **stops,
         "assume": [row["assume"] for row in said],
         "missions": [f"{row['missions']:,}" for row in said],
     }
@@ -344,13 +332,6 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
         ),
     ]
     tell(table(columns, width_of(stream), elsewhere, above=[", ".join([*shared, "[95% interval]"])]), stream)
-
-
-def _stops(said: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
-    """Return the column that tells the stop: ζ, unless a row has another criterion."""
-    if any(row["threshold_m"] is None for row in said):
-        return {"stop": [row["stop"] for row in said]}
-    return {"ζ, m": [f"{row['threshold_m']:g}" for row in said]}
 
 
 def _is_stdout(path: Path) -> bool:

@@ -6,13 +6,12 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.criterion import Criterion
+from plume.elementary import Array
 from plume.sensor import GAUSSIAN, text
 from plume.worlds import AS_MODELLED
 
-Array = NDArray[np.float64]
 RESAMPLES = 1000
 LARGEST = 2_000_000  # values that the bootstrap draws at once, at most: a limit on memory
 # By figure: heading in tables, scale and digits.
@@ -122,14 +121,10 @@ def wilson(hits: int, of: int) -> Interval:
     return Interval(p, max(middle - half, 0.0), min(middle + half, 1.0))
 
 
-def mean(samples: Array) -> Array:
-    """Mean of each of R samples (R, n): (R,)."""
-    means: Array = samples.mean(axis=1)
-    return means
-
-
-def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Interval:
-    """A statistic of values (n, …) and its percentile interval; NaN for no values.
+def bootstrap(
+    values: Array, statistic: Callable[[Array], Array] = lambda samples: np.asarray(samples.mean(axis=1))
+) -> Interval:
+    """A statistic of values (n, …), by default the mean, and its percentile interval; NaN for no values.
 
     `statistic` maps samples (R, n, …) to (R,).
     """
@@ -182,8 +177,9 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
         "particles": first.particles,
         "threshold_m": first.threshold_m,
         "world": first.world,
+        "assume": first.assume,
+        "stop": first.criterion,
     }
-    summary |= {"assume": first.assume, "stop": first.criterion}
     for name, interval in intervals.items():
         known = not math.isnan(interval.value)
         summary[name] = interval.value if known else None

@@ -1,24 +1,20 @@
-"""The information floor of a mission: how far an oracle flies before the posterior's spread can be below ζ
-(docs/floor.md).
+"""The information floor of a mission: how far an oracle flies before the spread can be below ζ.
 
-It uses the true source, so it may judge missions but not plan them.
+docs/floor.md derives it. It uses the true source, so it may judge missions but not plan them.
 """
-# mypy: allow-untyped-decorators
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.elementary import Array
 from plume.numerics import angle_of, cosine_and_sine, exp
 from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario
 from plume.sensor import GAUSSIAN
-
-Array = NDArray[np.float64]
 
 LEAST_THRESHOLD_M = 0.03  # below this ζ the computation takes long, and the floor may exceed the budget
 # α² and β²: the variance of a reading is SLOPE m² + FLOOR.
@@ -61,8 +57,9 @@ def weight(mean: float) -> float:
 
 @kernel("Tuple((float64, float64, float64))(float64, float64, float64[::1])", error_model="numpy")
 def information(x: float, y: float, model: Array) -> tuple[float, float, float]:
-    """Fisher information c g gᵀ of a reading at (x, y) about the source's location, as (c, g_x, g_y); g =
-    grad log m, 1/m.
+    """Fisher information c g gᵀ of a reading at (x, y) about the source's location, as (c, g_x, g_y).
+
+    g = grad log m, 1/m.
     """
     dx, dy = x - model[0], y - model[1]
     distance = math.sqrt(dx * dx + dy * dy)
@@ -93,8 +90,9 @@ def _variance(headings: Array, start: Array, model: Array) -> float:
 
 @kernel("float64(float64[::1], float64[::1], float64[::1], float64)", error_model="numpy")
 def _refine(headings: Array, start: Array, model: Array, finest: float) -> float:
-    """Compass search, in place: turn the path after a step, or shift one waypoint, while that helps; then
-    halve the change.
+    """Compass search, in place: turn the path after a step, or shift one waypoint, while that helps.
+
+    Then the change is halved.
     """
     steps = len(headings)
     best = _variance(headings, start, model)
@@ -164,31 +162,25 @@ def model(scenario: Scenario) -> Array:
 
 
 def spread_m(scenario: Scenario, headings: Sequence[float]) -> float:
-    """Spread after a path of 1 m steps on these headings, rad, from the scenario's start, m; infinite
-    where it leaves the area.
-    """
+    """Spread after 1 m steps on these headings, rad, from the start, m; infinite outside the area."""
     return math.sqrt(_variance(np.array(headings, np.float64), np.array(scenario.start), model(scenario)))
 
 
 def best_path(scenario: Scenario, steps: int, effort: Effort = Effort()) -> tuple[float, ...]:
     """Headings, rad, of the path found with this number of steps that leaves the least spread."""
     start, parameters = np.array(scenario.start), model(scenario)
-    return tuple(
-        _best_headings(
-            steps, start, parameters, BENDS, effort.bearings, effort.refined, effort.finest
-        ).tolist()
-    )
+    return tuple(_best_headings(steps, start, parameters, BENDS, *astuple(effort)).tolist())
 
 
 def floors_m(
     scenario: Scenario, thresholds_m: Sequence[float], effort: Effort = Effort(), budget: int = BUDGET_STEPS
 ) -> dict[float, float]:
-    """Length of the shortest path found after which the spread can be below each ζ, m; infinite where it
-    exceeds the budget.
+    """Length of the shortest path found after which the spread can be below each ζ, m.
+
+    It is infinite where it exceeds the budget.
     """
-    steps = min(
-        int(math.dist(scenario.start, scenario.source) / STEP_M), budget
-    )  # usually close to the answer
+    # Usually close to the answer.
+    steps = min(int(math.dist(scenario.start, scenario.source) / STEP_M), budget)
     result: dict[float, float] = {}
     for threshold_m in sorted(thresholds_m, reverse=True):  # a smaller ζ needs at least as many steps
 

@@ -24,9 +24,7 @@ NARROW = 80  # on a narrower terminal training shows its text without a bar
 
 
 def progress_bar(*, stands: bool = False) -> Progress:
-    """Return a bar that counts missions; with `stands`, one of training, beside which the task's field of
-    this name is shown.
-    """
+    """Return a bar that counts missions; with `stands`, one of training beside the task's `stands`."""
     console = Console(stderr=True)
     columns: tuple[ProgressColumn, ...]
     if stands:

@@ -19,7 +19,7 @@ from plume.world import World
 from plume.worlds import AS_MODELLED
 
 ALTITUDE_M = 5.0
-USUAL: Mapping[str, float] = MappingProxyType({})  # the planner's own moves
+OWN_MOVES: Mapping[str, float] = MappingProxyType({})  # the planner's own moves
 # Fields of `Config` that may be given for a mission; the others have arguments of their own, or come from the
 # scenario.
 FURTHER = ("area_m", "priors", "sensor", "stop_on_location", "stop_limits")
@@ -50,7 +50,7 @@ def mission(
     particles: int,
     threshold_m: float,
     budget: int,
-    moves: Mapping[str, float] = USUAL,
+    moves: Mapping[str, float] = OWN_MOVES,
     world: str = AS_MODELLED,
     ends: bool = True,
     **knowledge: Any,
@@ -105,7 +105,7 @@ def rollout(
     particles: int = 1000,
     threshold_m: float = USUAL_THRESHOLD_M,
     budget: int = BUDGET_STEPS,
-    moves: Mapping[str, float] = USUAL,
+    moves: Mapping[str, float] = OWN_MOVES,
     *,
     world: str = AS_MODELLED,
     assume: str = "field",

@@ -66,7 +66,6 @@ class Sweep:
         return len(self.seeds) * len(self.policies) * len(self.particles) * len(self.worlds)
 
     def __contains__(self, flight: "Flight") -> bool:
-        """Whether the sweep includes a flight."""
         policy, particles, seed, world = flight
         return (
             policy in self.policies
@@ -83,8 +82,9 @@ Flyer = Callable[[Sweep, Iterable[Sequence[Flight]]], Generator[list[MissionRow]
 
 
 def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
-    """Fly missions of one seed until all stop criteria have been met; returns their rows, one per
-    criterion, each as of its own stop.
+    """Fly missions of one seed until all stop criteria have been met.
+
+    Returns their rows, one per criterion, each as of its own stop.
     """
     first = sweep.stops[0]
     missions = [
@@ -113,14 +113,11 @@ def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
 def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
     """The information floor of a mission at each ζ, m, where docs/floor.md defines it."""
     config = ready.config
-    if config.sensor != GAUSSIAN or config.effective_priors or config.stop_limits:
-        return {}
-    if sweep.moves.get("step", STEP_M) != STEP_M:
+    as_defined = config.sensor == GAUSSIAN and sweep.moves.get("step", STEP_M) == STEP_M
+    if not as_defined or config.effective_priors or config.stop_limits:
         return {}
     thresholds_m = [stop.threshold_m for stop in sweep.stops if not stop.within]
-    floors = floors_m(
-        ready.scenario, [threshold_m for threshold_m in thresholds_m if threshold_m >= LEAST_THRESHOLD_M]
-    )
+    floors = floors_m(ready.scenario, [limit for limit in thresholds_m if limit >= LEAST_THRESHOLD_M])
     return {threshold_m: floor_m for threshold_m, floor_m in floors.items() if math.isfinite(floor_m)}
 
 
@@ -241,10 +238,10 @@ def flown(
 def fly_all(
     sweep: Sweep, journal: Path, fly_tasks: Flyer, there: Sequence[MissionRow] = ()
 ) -> Generator[list[MissionRow], None, None]:
-    """Fly the flights that neither the journal nor the rows `there` have; yields the rows of each flight,
-    first of those that have been flown.
+    """Fly the flights that neither the journal nor the rows `there` have; yields the rows of each flight.
 
-    Each flight is added to the journal as it ends, so an interrupted sweep can resume.
+    Those that have been flown come first. Each flight is added to the journal as it ends, so an interrupted
+    sweep can resume.
     """
     done = complete(sweep, there) | kept(sweep, journal)
     yield from done.values()
@@ -301,9 +298,8 @@ def _on_cores(
 def code() -> str:
     """Digest of our sources and of the numpy and numba versions."""
     digest = hashlib.blake2b(f"{np.__version__} {numba.__version__}".encode(), digest_size=8)
-    root = Path(__file__).parents[2]
     for package in PACKAGES:
-        for path in sorted((root / package).rglob("*.py")):
+        for path in sorted((Path(__file__).parents[2] / package).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -328,9 +324,7 @@ def journal_of(sweep: Sweep, folder: Path) -> Path:
 
 
 def ordered(rows: Iterable[MissionRow], sweep: Sweep) -> list[MissionRow]:
-    """Return rows by policy and world, as requested, then by particles, stop criterion and seed, whichever
-    worker ended first.
-    """
+    """Return rows by policy and world, as requested, then by particles, stop criterion and seed."""
     rank = {flown: i for i, flown in enumerate(product(sweep.policies, sweep.worlds))}
     stops = sorted(sweep.stops, key=lambda stop: (stop.within or (), stop.threshold_m))
     place = {stop.text: i for i, stop in enumerate(stops)}

@@ -17,7 +17,7 @@ from link.interrupts import uninterrupted
 
 # Set to one thread per worker: competing thread pools slow each other down.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-AHEAD = 4  # tasks handed out per worker: enough to keep it busy, without holding ten million in memory
+HANDED_OUT = 4  # tasks handed out per worker: enough to keep it busy, without holding ten million in memory
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -44,7 +44,7 @@ def as_flown(
     with alive, kept_open, ProcessPoolExecutor(workers, context, _end_with_parent, (alive,)) as pool:
         try:
             while True:
-                for task in islice(left, AHEAD * workers - len(running)):
+                for task in islice(left, HANDED_OUT * workers - len(running)):
                     running[_submit(pool, function, task)] = task
                 if not running:
                     return

@@ -1,47 +1,40 @@
-"""Model check: ranks of readings in their predictive distributions, and a test that these ranks are
-uniform.
-"""
+"""Model check: ranks of readings in their predictive distributions, and a test that they are uniform."""
 
 import math
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.kernels.densities import Model, is_intermittent, normal_cdf
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
+from plume.elementary import Array
 from plume.intermittency import BODY, TAIL, distribution
 from plume.kernels import CVS, NOISES
 from plume.numerics import HALF_LOG_2PI, dot, exp, log, log1p, log_gamma, total_of
 from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
-
-Array = NDArray[np.float64]
 
 # Approximate number of particles, evenly spaced, for the predictive rank of a reading; fewer in intermittent
 # gas, where each takes long.
 CHECK_PARTICLES, CHECK_INTERMITTENT = 1000, 250
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _gaussian_tails(
     means: Array, noises: Array, gas: float, slope: float, floor: float, result: Array
 ) -> None:
-    """Fill `result` with P(Z ≤ gas) for each mean and squared noise factor, accurate to 1.5e-7 (Abramowitz
-    and Stegun 7.1.26).
+    """Fill `result` with P(Z ≤ gas) for each mean and squared noise factor.
+
+    It is accurate to 1.5e-7 (Abramowitz and Stegun 7.1.26).
     """
     for i in range(len(means)):
         residual = gas - means[i]
         half_square = 0.5 * residual * residual / (noises[i] * (slope * means[i] * means[i] + floor))
         t = 1 / (1 + 0.3275911 * math.sqrt(half_square))
-        p = t * 1.061405429 - 1.453152027
-        p = p * t + 1.421413741
-        p = p * t - 0.284496736
-        p = p * t + 0.254829592
+        p = (((t * 1.061405429 - 1.453152027) * t + 1.421413741) * t - 0.284496736) * t + 0.254829592
         tail = 0.5 * p * t * exp(-half_square)
         result[i] = 1 - tail if residual > 0 else tail
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _hits_cdf(count: float, expected: float) -> float:
     """P(K ≤ count) of a Poisson count; above 100 by the Wilson–Hilferty cube-root approximation."""
     if count < 0:
@@ -57,13 +50,13 @@ def _hits_cdf(count: float, expected: float) -> float:
     return min(total, 1.0)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def predictive_rank(
     means: Array, derived: Array, weights: Array, gas: float, model: Model, chance: float
 ) -> float:
-    """Return the rank of a reading in its predictive distribution: uniform in (0, 1) if the model is right
-    (Dawid 1984).
+    """Return the rank of a reading in its predictive distribution (Dawid 1984).
 
+    It is uniform in (0, 1) if the model is right.
     means, weights: (N,) of the particles before the reading.  derived: their columns of
     `plume.kernels.derive`, or empty.
     chance: a uniform draw in (0, 1) that breaks ties of discrete readings.
@@ -102,8 +95,7 @@ def predictive_rank(
 
 @kernel("float64(float64[:, ::1], float64[::1])")
 def log_likelihood_of_one_value(readings: Array, sensor: Array) -> float:
-    """Greatest log-likelihood of readings (T, 7) by a sensor that shows one value plus noise, wherever it
-    is.
+    """Greatest log-likelihood of readings (T, 7) by a sensor that shows one value plus noise.
 
     For hits: by one that counts with one mean. A threshold sensor shows 0 with one probability, and else
     one value plus noise.
@@ -128,8 +120,9 @@ def log_likelihood_of_one_value(readings: Array, sensor: Array) -> float:
 
 @kernel("float64(float64[::1])")
 def uniformity_p_value(ranks: Array) -> float:
-    """p-value of the Anderson–Darling test that ranks (n,), n ≥ 8, are uniform in (0, 1) (Marsaglia and
-    Marsaglia 2004).
+    """p-value of the Anderson–Darling test that ranks (n,), n ≥ 8, are uniform in (0, 1).
+
+    As in Marsaglia and Marsaglia 2004.
     """
     count = len(ranks)
     ordered = np.sort(ranks)

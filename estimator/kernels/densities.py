@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.elementary import Array, Indices
 from plume.intermittency import log_density
 from plume.kernels import (
     CVS,
@@ -24,12 +24,10 @@ from plume.numerics import HALF_LOG_2PI, erfc, exp, log, log1p, log_gamma
 from plume.parameters import CV, GAMMA, KNOWN, LOGNORMAL, NORMAL, TAU, D, Q, Z
 from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 
-Array = NDArray[np.float64]
-
 FUSED = 8  # readings whose densities are added together: products of 8 variances neither overflow nor vanish
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def normal_cdf(value: float) -> float:
     """P(Z ≤ value) of a standard normal variable."""
     return 0.5 * erfc(-value * math.sqrt(0.5))
@@ -38,7 +36,7 @@ def normal_cdf(value: float) -> float:
 class Model(NamedTuple):
     """What the filter assumes, as kernels take it."""
 
-    unknowns: NDArray[np.int64]  # (D,) indices into `plume.parameters.PARAMETERS`
+    unknowns: Indices  # (D,) indices into `plume.parameters.PARAMETERS`
     priors: Array  # (13, 5): kind, two numbers, and the support's ends of each parameter
     sensor: Array  # (5,): kind and numbers
 
@@ -47,17 +45,15 @@ tuple_type: Any = numba.types.NamedTuple
 MODEL = tuple_type((numba.int64[::1], numba.float64[:, ::1], numba.float64[::1]), Model)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def is_intermittent(priors: Array) -> bool:
     """True if the gas is not taken to be steady."""
-    intermittent: bool = priors[CV, 0] != KNOWN or priors[CV, 1] != 0
-    return intermittent
+    return bool(priors[CV, 0] != KNOWN or priors[CV, 1] != 0)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log_densities(means: Array, derived: Array, count: int, gas: float, model: Model, result: Array) -> None:
-    """Fill `result` with the log-likelihood of a gas value for each mean, as `log_likelihood` in
-    plume/sensor.py.
+    """Fill `result` with the log-likelihood of a gas value for each mean, as plume/sensor.py defines it.
 
     derived: as of `reading_densities`, for the noise and the gas's intermittency where they are unknown.
     """
@@ -91,20 +87,20 @@ def log_densities(means: Array, derived: Array, count: int, gas: float, model: M
             result[i] = -0.5 * (residual * residual / variance + log(variance)) - constant
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def derived_of(count: int, model: Model) -> Array:
-    """Return an array for `count` columns of `plume.kernels.derive`; empty where only the location is
-    unknown, which has a faster loop.
+    """Return an array for `count` columns of `plume.kernels.derive`.
+
+    It is empty where only the location is unknown, which has a faster loop.
     """
     return np.empty((0 if is_location_only(model.unknowns, model.priors) else DERIVED, count))
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def reading_densities(
     particles: Array, derived: Array, count: int, reading: Array, model: Model, means: Array, result: Array
 ) -> None:
-    """Fill `means` and `result` (count,) with the concentration and the log-likelihood of one reading
-    under each particle.
+    """Fill `means` and `result` (count,): concentration and log-likelihood of a reading by particle.
 
     derived: columns that `derive` filled; empty if only the location is unknown.
     """
@@ -115,10 +111,11 @@ def reading_densities(
     log_densities(means, derived, count, reading[5], model, result)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def is_fused(readings: Array, model: Model) -> bool:
-    """True if `add_place_densities` applies: the paper's case with a Gaussian sensor, and numbers whose
-    products stay in range.
+    """True if `add_place_densities` applies.
+
+    It does in the paper's case with a Gaussian sensor, for numbers whose products stay in range.
     """
     priors, sensor = model.priors, model.sensor
     if sensor[0] != GAUSSIAN_KIND or not is_location_only(model.unknowns, priors):
@@ -130,12 +127,11 @@ def is_fused(readings: Array, model: Model) -> bool:
     return sound
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def add_place_densities(
     places: Array, count: int, readings: Array, model: Model, scratch: Array, targets: Array
 ) -> None:
-    """Add the log-likelihoods of readings (1 to FUSED, 7), the last first, to the targets of sources at
-    places (2, count).
+    """Add the log-likelihoods of readings (1 to FUSED, 7), the last first, to targets of places (2, count).
 
     The same as `reading_densities` in the paper's case, with one division and one logarithm for all of
     them: of each reading, the square of the residual and the variance, both times the squared distance,
@@ -171,19 +167,15 @@ def add_place_densities(
         targets[j] -= 0.5 * (numerators[j] / variances[j] + log(variances[j] / squares[j])) + constant
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def is_a_normal_density(gas: float, sensor: Array) -> bool:
-    """True if the likelihood of this gas value is a density, which noise widens and so lowers; false if it
-    is a probability.
-    """
-    normal: bool = sensor[0] != HITS_KIND and (sensor[0] != THRESHOLD_KIND or gas != 0.0)
-    return normal
+    """True if this gas value has a density, which noise widens and so lowers; false if a probability."""
+    return sensor[0] != HITS_KIND and (sensor[0] != THRESHOLD_KIND or gas != 0.0)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def greatest_log_density(gas: float, sensor: Array, priors: Array) -> float:
-    """Return an upper bound of the log-likelihood of this gas value, whatever the mean, for a noise factor
-    of 1.
+    """Return an upper bound of the log-likelihood of a gas value, whatever the mean, for a noise factor of 1.
 
     If the gas is steady and the noise known, the bound falls with the reading: a strong reading needs a
     large mean, and a large mean has much noise.
@@ -214,11 +206,9 @@ def log_likelihoods(particles: Array, model: Model, reading: Array) -> Array:
     return result
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def log_prior(particles: Array, i: int, model: Model) -> float:
-    """Log prior density of particle i up to a constant; of a log-normal parameter, the density of its
-    logarithm.
-    """
+    """Log prior density of particle i up to a constant; of a log-normal parameter, that of its logarithm."""
     total = 0.0
     for row in range(len(model.unknowns)):
         index, value = model.unknowns[row], particles[row, i]

@@ -1,14 +1,15 @@
 """Random numbers keyed by (seed, step, stage, stream): SplitMix64 sequences with random access."""
 
-import numba
 import numpy as np
+
+from plume.compiled import subroutine
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_ONE = np.uint64(0xBF58476D1CE4E5B9)
 MIX_TWO = np.uint64(0x94D049BB133111EB)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def mix(word: np.uint64) -> np.uint64:
     """SplitMix64's finaliser (Steele et al. 2014)."""
     word = (word ^ (word >> np.uint64(30))) * MIX_ONE
@@ -16,7 +17,7 @@ def mix(word: np.uint64) -> np.uint64:
     return word ^ (word >> np.uint64(31))
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def key_of(seed: int, step: int, stage: int, stream: int) -> np.uint64:
     """Return the start of the SplitMix64 sequence of one (seed, step, stage, stream)."""
     word = mix(seed + GOLDEN)
@@ -24,13 +25,13 @@ def key_of(seed: int, step: int, stage: int, stream: int) -> np.uint64:
     return mix(word ^ (np.uint64(stage * 1024 + stream) + np.uint64(1)) * GOLDEN)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def word_at(key: np.uint64, index: int) -> np.uint64:
     """Draw number `index` of a sequence: 64 bits."""
     return mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def uniform(key: np.uint64, index: int) -> float:
     """Draw number `index` of a sequence, uniform in (0, 1)."""
     return (float(word_at(key, index) >> np.uint64(12)) + 0.5) * 2.0**-52

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.kernels.densities import (
     FUSED,
@@ -20,12 +19,11 @@ from estimator.kernels.densities import (
     reading_densities,
 )
 from estimator.kernels.draws import key_of, uniform, word_at
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
+from plume.elementary import Array, Indices
 from plume.kernels import NOISES, derive, is_plain
 from plume.numerics import direction, dot, exp, log, total_of
 from plume.parameters import LOGNORMAL, PHI, Y
-
-Array = NDArray[np.float64]
 
 EVERYTHING, PLACE, REST = 0, 1, 2  # what a proposal changes: all unknowns, those of the place, or the others
 FREEDOM = 4.0  # degrees of freedom of independent proposals: their tails are heavier than a posterior's
@@ -43,16 +41,16 @@ class Block(NamedTuple):
     derived: Array  # their columns of `plume.kernels.derive`; empty if only the location is unknown
     targets: Array  # (BLOCK,) log density of the prior and the readings so far
     needed: Array  # (BLOCK,) the log target that is accepted
-    owners: NDArray[np.int64]  # (BLOCK,) the particle that would move there
+    owners: Indices  # (BLOCK,) the particle that would move there
     scratch: Array  # (7, BLOCK)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _is_moved(unknown: int, block: int) -> bool:
     return block == EVERYTHING or (unknown <= Y) == (block == PLACE)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _propose_steps(
     particles: Array, pool: Array, model: Model, block: int, key: np.uint64, proposals: Array
 ) -> None:
@@ -99,10 +97,9 @@ def _propose_steps(
                     proposals[row, i] = low + (proposals[row, i] - low) % (2 * math.pi)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _propose_places(particles: Array, key: np.uint64, proposals: Array, needed: Array) -> None:
-    """Fill `proposals` (2, N) with places that do not depend on the particles': Student's t with their mean
-    and covariance.
+    """Fill `proposals` (2, N) with independent places: Student's t with the particles' mean and covariance.
 
     A posterior that is close to normal accepts most of them. `needed` takes in the ratio of the proposal's
     densities.
@@ -126,7 +123,7 @@ def _propose_places(particles: Array, key: np.uint64, proposals: Array, needed: 
         needed[i] += 0.5 * (FREEDOM + 2) * log((FREEDOM + one * one + two * two) / (FREEDOM + square))
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _refuse_outside(proposals: Array, model: Model, needed: Array) -> None:
     """Make `needed` infinite where a proposal leaves the prior's support.
 
@@ -139,11 +136,9 @@ def _refuse_outside(proposals: Array, model: Model, needed: Array) -> None:
             needed[i] = needed[i] if inside else np.inf
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _bounds(readings: Array, model: Model) -> Array:
-    """Return (2, T): the greatest log-likelihood of all readings before each, and the sum of the shares of
-    those that have noise.
-    """
+    """Return (2, T): of all readings before each, the greatest log-likelihood and the sum of noisy shares."""
     bounds = np.zeros((2, len(readings)))
     for t in range(len(readings) - 1):
         gas, share = readings[t, 5], readings[t, 6]
@@ -152,10 +147,11 @@ def _bounds(readings: Array, model: Model) -> Array:
     return bounds
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _keep_possible(block: Block, alive: int, possible: Array) -> int:
-    """Bring to the front those of the first `alive` proposals whose `possible` is not negative; returns how
-    many.
+    """Bring to the front those of the first `alive` proposals whose `possible` is not negative.
+
+    Returns how many.
     """
     particles, derived, targets, needed, owners, _ = block
     keepers, kept = np.empty(alive, np.int64), 0
@@ -173,14 +169,13 @@ def _keep_possible(block: Block, alive: int, possible: Array) -> int:
     return kept
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _judge(block: Block, alive: int, readings: Array, bounds: Array, model: Model, fused: bool) -> int:
-    """Add the log-likelihood of all readings to the targets of the first `alive` proposals; returns how
-    many are accepted, now in front.
+    """Add the log-likelihood of all readings to the targets of the first `alive` proposals.
 
-    Readings are evaluated newest first, since the newest is the most likely to reject. A proposal is given
-    up early if it cannot reach `needed` even with the best possible likelihood of the remaining readings
-    (`_bounds`). This changes no decision.
+    Returns how many are accepted, now in front. Readings are evaluated newest first, since the newest is the
+    most likely to reject. A proposal is given up early if it cannot reach `needed` even with the best
+    possible likelihood of the remaining readings (`_bounds`). This changes no decision.
     """
     particles, derived, targets, needed, _, scratch = block
     means, densities, log_noises, possible = scratch[0], scratch[1], scratch[2], scratch[3]
@@ -210,12 +205,13 @@ def _judge(block: Block, alive: int, readings: Array, bounds: Array, model: Mode
     return alive
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def _accept(
     particles: Array, log_targets: Array, proposals: Array, needed: Array, readings: Array, model: Model
 ) -> int:
-    """Move each particle to its proposal (D, N) if that one's log target reaches `needed`; returns how many
-    moved.
+    """Move each particle to its proposal (D, N) if that one's log target reaches `needed`.
+
+    Returns how many moved.
     """
     rows, count = particles.shape
     bounds, fused = _bounds(readings, model), is_fused(readings, model)
@@ -250,13 +246,12 @@ def _accept(
 def move(
     particles: Array, log_targets: Array, readings: Array, model: Model, sweeps: int, seed: int, stage: int
 ) -> int:
-    """Move the particles (D, N) by Metropolis–Hastings sweeps, which leave the posterior given all readings
-    (T, 7) invariant.
+    """Move the particles (D, N) by Metropolis–Hastings sweeps.
 
-    They end when ENOUGH moves have been accepted, or after `sweeps`. Random numbers are keyed by the seed,
-    the number of readings and the stage.
-    log_targets: (N,) log posterior density of each particle up to a constant.  Returns the number of
-    accepted moves.
+    They leave the posterior given all readings (T, 7) invariant. They end when ENOUGH moves have been
+    accepted, or after `sweeps`. Random numbers are keyed by the seed, the number of readings and the stage.
+    log_targets: (N,) log posterior density of each particle up to a constant.  Returns the number of accepted
+    moves.
     """
     rows, count = particles.shape
     step, unknowns = len(readings) - 1, model.unknowns

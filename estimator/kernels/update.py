@@ -11,10 +11,9 @@ from estimator.kernels.densities import MODEL, Model, derived_of, reading_densit
 from estimator.kernels.draws import key_of, uniform
 from estimator.kernels.moves import move
 from estimator.kernels.weights import systematic, tempered_share
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
+from plume.elementary import Array, Indices
 from plume.kernels import derive
-
-Array = NDArray[np.float64]
 
 RESAMPLE_BELOW = 0.5  # resample if the effective sample size falls below this share of N
 # Most tempered stages per reading. The rest of its likelihood is dropped, so that no admitted reading
@@ -37,7 +36,7 @@ SAMPLES = tuple_type((STACK, TABLE, TABLE, TABLE), WeightedSample)
 MODELS = tuple_type((numba.int64[::1], STACK, TABLE), Model)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def reweight(sample: WeightedSample, log_densities: Array, exponent: float) -> tuple[float, float]:
     """Multiply the weights by likelihoods (N,), of which `exponent` has been taken already.
 
@@ -53,7 +52,7 @@ def reweight(sample: WeightedSample, log_densities: Array, exponent: float) -> t
     return 1.0 if share >= left else exponent + share, size
 
 
-@numba.njit(error_model="numpy")
+@subroutine
 def resample(sample: WeightedSample, offset: float) -> None:
     """Replace the particles by their ancestors, of equal weight, by `systematic` resampling."""
     particles, log_weights, weights, log_targets = sample
@@ -105,14 +104,15 @@ def update_missions(
     samples: WeightedSample,
     readings: Array,
     ranks: Array,
-    counts: NDArray[np.int64],
+    counts: Indices,
     models: Model,
     seeds: NDArray[np.uint64],
     sweeps: int,
-    missions: NDArray[np.int64],
+    missions: Indices,
 ) -> None:
-    """Apply `update` to each of these missions of a batch, with its first `counts` readings; arrays as in
-    `update`, stacked, but for the unknowns, which all share.
+    """Apply `update` to each of these missions of a batch, with its first `counts` readings.
+
+    Arrays are as in `update`, stacked, but for the unknowns, which all share.
     """
     particles, log_weights, weights, log_targets = samples
     unknowns, priors, sensors = models

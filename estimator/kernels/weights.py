@@ -1,56 +1,46 @@
 """Weights of particles: reweighting, effective sample size, moments, systematic resampling."""
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.compiled import kernel
+from plume.compiled import kernel, subroutine
+from plume.elementary import Array, Indices
 from plume.numerics import dot, exp, total_of
-
-Array = NDArray[np.float64]
 
 # If a reading would bring the effective sample size below this share of N, it is taken in tempered stages.
 STAGE_FLOOR = 0.4
 
 
-@numba.njit(error_model="numpy")
-def _greatest(values: Array) -> float:
-    a, b, c, d = values[0], values[0], values[0], values[0]
-    whole = len(values) - len(values) % 4
-    for i in range(0, whole, 4):
-        a = max(a, values[i])
-        b = max(b, values[i + 1])
-        c = max(c, values[i + 2])
-        d = max(d, values[i + 3])
-    for i in range(whole, len(values)):
-        a = max(a, values[i])
-    greatest: float = max(max(a, b), max(c, d))
-    return greatest
-
-
-@numba.njit(error_model="numpy")
-def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array) -> float:
-    """Set weights ∝ exp(log_weights + share · log_densities), scaled so that the greatest is 1; returns
-    the effective sample size.
-    """
-    for i in range(len(weights)):
-        weights[i] = log_weights[i] + share * log_densities[i]
-    highest = _greatest(weights)
-    for i in range(len(weights)):
-        weights[i] = exp(weights[i] - highest)
+@kernel("float64(float64[::1])")
+def effective_sample_size(weights: Array) -> float:
+    """Effective sample size (Σ w)² / Σ w² of weights (N,), which need not be normalised."""
     total = total_of(weights)
     return total * total / dot(weights, weights)
 
 
-@numba.njit(error_model="numpy")
+@subroutine
+def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array) -> float:
+    """Set weights ∝ exp(log_weights + share · log_densities), scaled so that the greatest is 1.
+
+    Returns the effective sample size.
+    """
+    for i in range(len(weights)):
+        weights[i] = log_weights[i] + share * log_densities[i]
+    highest = weights[0]
+    for weight in weights:
+        highest = max(highest, weight)
+    for i in range(len(weights)):
+        weights[i] = exp(weights[i] - highest)
+    return effective_sample_size(weights)
+
+
+@subroutine
 def tempered_share(
     log_weights: Array, log_densities: Array, left: float, weights: Array
 ) -> tuple[float, float]:
-    """Return the exponent for the next stage and the effective sample size that it leaves; sets the
-    weights accordingly.
+    """Return the exponent for the next stage and the effective sample size that it leaves.
 
-    It is `left` if that leaves at least STAGE_FLOOR · N effective particles. Otherwise bisection finds one
-    that leaves 1 to 1.2 times that.
+    The weights are set accordingly. The exponent is `left` if that leaves at least STAGE_FLOOR · N effective
+    particles. Otherwise bisection finds one that leaves 1 to 1.2 times that.
     """
     floor = STAGE_FLOOR * len(weights)
     size = weigh(log_weights, left, log_densities, weights)
@@ -67,13 +57,6 @@ def tempered_share(
         else:
             return middle, size
     return high, weigh(log_weights, high, log_densities, weights)
-
-
-@kernel("float64(float64[::1])")
-def effective_sample_size(weights: Array) -> float:
-    """Effective sample size (Σ w)² / Σ w² of weights (N,), which need not be normalised."""
-    total = total_of(weights)
-    return total * total / dot(weights, weights)
 
 
 @kernel("float64(float64[::1], float64[::1])")
@@ -106,7 +89,7 @@ def moments(particles: Array, weights: Array) -> tuple[Array, Array]:
     "void(float64[:, :, ::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[:, :, ::1])", nogil=True
 )
 def moments_of_missions(
-    particles: Array, weights: Array, missions: NDArray[np.int64], means: Array, covariances: Array
+    particles: Array, weights: Array, missions: Indices, means: Array, covariances: Array
 ) -> None:
     """Write the `moments` of these missions of a batch into means (B, D) and covariances (B, D, D)."""
     for b in missions:
@@ -118,7 +101,7 @@ def moments_of_missions(
 
 
 @kernel("int64[::1](float64[::1], float64)")
-def systematic(weights: Array, offset: float) -> NDArray[np.int64]:
+def systematic(weights: Array, offset: float) -> Indices:
     """Systematic resampling: returns the ancestors (N,).
 
     The cumulative weight passes (k + offset) / N at ancestor k; offset in [0, 1).

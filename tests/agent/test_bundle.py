@@ -183,7 +183,7 @@ def test_a_graph_says_what_torch_says(tmp_path: Path, kinds: tuple[str, ...], sq
     import onnxruntime
     import torch
 
-    from agent.learn.train.graph import graph
+    from agent.learn.train.export import graph
 
     torch.manual_seed(5)
     widths = [12, *(9 + k for k in range(len(kinds))), 3]
@@ -240,7 +240,7 @@ def test_tanh_is_right_to_a_float32() -> None:
 def test_a_layer_without_an_onnx_is_refused() -> None:
     import torch
 
-    from agent.learn.train.graph import graph
+    from agent.learn.train.export import graph
 
     with pytest.raises(TypeError, match="no ONNX for GELU"):
         graph([torch.nn.Linear(3, 4), torch.nn.GELU(), torch.nn.Linear(4, 2)])

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 from agent.bundle import BundleError, CurvePoint, read
-from agent.learn.train.folder import CheckpointError, checkpoints, claim
+from agent.learn.train.folder import checkpoints, claim
 from agent.learn.train.recipes import PRESETS, Recipe
 from agent.trials.progress import NARROW, progress_bar
 from link import cli
@@ -66,10 +66,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train, export and evaluate; returns the exit status. If interrupted, the same command resumes."""
+    """Train, export and evaluate; returns the exit status. Raises BadInput.
+
+    If interrupted, the same command resumes.
+    """
     if missing := [name for name in NEEDED if find_spec(name) is None]:
-        print(f"error: training needs {', '.join(missing)}: pip install 'plumeward[train]'", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"training needs {', '.join(missing)}: pip install 'plumeward[train]'")
     recipe = PRESETS[args.preset][args.algorithm]
     if args.steps is not None:
         at_a_time = recipe.moves_at_a_time
@@ -77,15 +79,13 @@ def run(args: argparse.Namespace) -> int:
     try:
         recipe = _with_stop(recipe, args.assume, args.stop)
     except ValueError as error:
-        print(f"error: --{error}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"--{error}") from error
     folder: Path = args.out or KEPT_IN / f"{args.algorithm}-{args.preset}-{args.seed}"
     bundle = folder / f"{args.algorithm}.zip"
     try:
         claimed = claim(folder, recipe, args.seed, bundle)
     except (OSError, ValueError) as error:
-        print(f"error: --out: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"--out: {error}") from error
     with claimed:
         _tell_of_steps(args.steps, recipe)
         try:
@@ -95,11 +95,7 @@ def run(args: argparse.Namespace) -> int:
 
                 judge(bundle, args.scenarios, EVALUATED_AT)
         except BundleError as error:
-            print(f"error: --out: {str(bundle)!r}: {error}; delete it to train again", file=sys.stderr)
-            return cli.BAD_INPUT
-        except CheckpointError as error:
-            print(f"error: --out: {error}", file=sys.stderr)
-            return cli.BAD_INPUT
+            raise cli.BadInput(f"--out: {str(bundle)!r}: {error}; delete it to train again") from error
         except KeyboardInterrupt:
             tell(f"interrupted{_kept(recipe, folder, bundle)}")
             raise

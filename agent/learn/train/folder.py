@@ -13,10 +13,6 @@ import msgspec
 from agent.learn.train.recipes import Recipe
 
 
-class CheckpointError(ValueError):
-    """A checkpoint that a run cannot resume from; the message is one line."""
-
-
 def claim(folder: Path, recipe: Recipe, seed: int, bundle: Path) -> IO[bytes]:
     """Reserve a folder for a run until the returned file is closed.
 

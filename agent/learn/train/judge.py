@@ -29,15 +29,18 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
         return
     settings = Settings(**page.training["env"])
     stop = settings.criterion if settings.stop else Criterion(Settings.threshold_m)
-    seeds = range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios)
-    sweep = Sweep([str(bundle)], seeds, particles, (stop,), knowledge={"assume": settings.assume})
+    sweep = Sweep(
+        [str(bundle)],
+        range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios),
+        particles,
+        (stop,),
+        knowledge={"assume": settings.assume},
+    )
     journal = journal_of(sweep, bundle.parent)
     workers = os.cpu_count() or 1
-    starting = f"starting {workers} workers"
-    evaluation = named(flown(sweep, journal, on_cores(workers), "test missions", starting))
-    page = msgspec.structs.replace(
-        page, evaluation={str(said["particles"]): said for said in evaluation.values()}
-    )
-    write(bundle, page, graph)
+    rows = flown(sweep, journal, on_cores(workers), "test missions", f"starting {workers} workers")
+    evaluation = named(rows)
+    figures = {str(said["particles"]): said for said in evaluation.values()}
+    write(bundle, msgspec.structs.replace(page, evaluation=figures), graph)
     journal.unlink()
     print_table(evaluation, sys.stdout)

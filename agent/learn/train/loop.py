@@ -28,13 +28,14 @@ from torch.utils.tensorboard import SummaryWriter
 from agent.bundle import CurvePoint
 from agent.learn.env import TRAINING_SEEDS, SourceSearchVector
 from agent.learn.sb3 import StableBaselinesEnv
-from agent.learn.train.folder import CheckpointError, checkpoints
+from agent.learn.train.folder import checkpoints
 from agent.learn.train.recipes import Recipe
+from link.cli import BadInput
 from plume.randomness import derived_seed
 
 POINTS = 100  # approximate number of points of a curve
 
-Tell = Callable[[CurvePoint, float], None]  # (point of the curve, moves per second)
+Tell = Callable[[CurvePoint, float], None]  # of each point of the curve, and of the moves per second
 
 
 class SlowActorDDPG(DDPG):
@@ -103,7 +104,6 @@ class Legs(BaseCallback):
     """Divides a run into legs, and reports progress."""
 
     def __init__(self, recipe: Recipe, seed: int, folder: Path, state: RunState, tell: Tell) -> None:
-        """`tell` is called at each point of the curve."""
         super().__init__()
         self._recipe, self._seed, self._folder, self._state, self._tell = recipe, seed, folder, state, tell
         self._begun = False
@@ -183,7 +183,6 @@ def point_of(steps: int, ended: list[EndedMission]) -> CurvePoint:
 
 def save(model: BaseAlgorithm, state: RunState, folder: Path) -> None:
     """Write a checkpoint, completely or not at all, then delete those before it."""
-    path = folder / f"checkpoint-{state.steps:012d}"
     partial = folder / "checkpoint.partial"
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
@@ -191,41 +190,36 @@ def save(model: BaseAlgorithm, state: RunState, folder: Path) -> None:
     if isinstance(model, OffPolicyAlgorithm):
         model.save_replay_buffer(partial / "replay.pkl")
     (partial / "state.json").write_bytes(msgspec.json.encode(state))
-    partial.rename(path)
+    partial.rename(folder / f"checkpoint-{state.steps:012d}")
     for older in checkpoints(folder)[:-1]:
         shutil.rmtree(older)
 
 
 def _resumed(model: BaseAlgorithm, env: StableBaselinesEnv, path: Path) -> tuple[BaseAlgorithm, RunState]:
-    """Return the learner and the state of a checkpoint. Raises CheckpointError if it is broken."""
+    """Return the learner and the state of a checkpoint. Raises BadInput if it is broken."""
     try:
-        with warnings.catch_warnings(
-            action="ignore", category=UserWarning
-        ):  # that the loaded replay buffer has returns over several moves
+        # That the loaded replay buffer has returns over several moves.
+        with warnings.catch_warnings(action="ignore", category=UserWarning):
             model = type(model).load(path / "learner.zip", env=env, device="cpu")
         if isinstance(model, OffPolicyAlgorithm):
             model.load_replay_buffer(path / "replay.pkl")
         return model, msgspec.json.decode((path / "state.json").read_bytes(), type=RunState)
-    except (
-        Exception
-    ) as error:  # zipfile, torch and pickle raise errors without a common base on a broken file
+    except Exception as error:  # what zipfile, torch and pickle raise on a broken file has no common base
         said = " ".join(str(error).split())[:200]
-        raise CheckpointError(
-            f"{str(path)!r} cannot be read: {said or type(error).__name__}; delete it to begin anew"
+        raise BadInput(
+            f"--out: {str(path)!r} cannot be read: {said or type(error).__name__}; delete it to begin anew"
         ) from error
 
 
 def train(
     recipe: Recipe, seed: int, folder: Path, threads: int, tell: Tell
 ) -> tuple[BaseAlgorithm, list[CurvePoint]]:
-    """Train by a recipe, from the last checkpoint in the folder if there is one; returns the learner and
-    its curve.
+    """Train by a recipe, from the last checkpoint in the folder if there is one.
 
-    Raises CheckpointError if that checkpoint is broken.
+    Returns the learner and its curve. Raises BadInput if that checkpoint is broken.
     """
-    torch.set_num_threads(
-        1
-    )  # more would change the last bits, and idle ones would take cores from the missions
+    # More threads would change the last bits, and idle ones would take cores from the missions.
+    torch.set_num_threads(1)
     env = StableBaselinesEnv(SourceSearchVector(recipe.missions, threads, **recipe.env))
     model, state = learner(recipe, env, seed % 2**32), RunState()
     if kept := checkpoints(folder):

@@ -49,28 +49,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the report on a folder of raw results; returns the exit status."""
+    """Write the report on a folder of raw results; returns the exit status. Raises BadInput."""
     if find_spec("matplotlib") is None:
         print("error: report needs matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
         return cli.FAILED
     try:
         results = read(args.results)
     except ValueError as error:
-        print(f"error: --results: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"--results: {error}") from error
     try:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        print(f"error: --out: no folder {str(args.out)!r} to write in: {error.strerror}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"--out: no folder {str(args.out)!r} to write in: {error.strerror}") from error
     if refusal := cli.unwritable("--out", (args.out / name for name in FILES), args.force):
-        print(f"error: {refusal}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(refusal)
     try:
         write(results, args.out, FLIGHTS)
     except OSError as error:
-        print(f"error: --out: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+        raise cli.BadInput(f"--out: {error}") from error
     return 0
 
 
@@ -131,20 +127,17 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
     hidden = len(results.policies) - len(drawing.compared(results.policies))
     if hidden:
         curves += f" {hidden} more policies are in the tables."
-    keys = [key for key in results.rows if key[1].threshold_m == results.threshold_m]
-    yield (
-        "particles",
-        "Figures by number of particles",
-        f"ζ = {results.threshold_m:g} m, assume {results.assume}; {results.behind(keys)}. {curves}",
-        drawing.against_particles(results),
-    )
-    keys = [key for key in results.rows if key[1].particles == results.particles]
-    yield (
-        "thresholds",
-        "Figures by threshold ζ",
-        f"N = {results.particles:,}, assume {results.assume}; {results.behind(keys)}. {curves}",
-        drawing.against_thresholds(results),
-    )
+    for name, title, axis, at in (
+        ("particles", "Figures by number of particles", "particles", f"ζ = {results.threshold_m:g} m"),
+        ("thresholds", "Figures by threshold ζ", "threshold_m", f"N = {results.particles:,}"),
+    ):
+        behind = results.behind(results.along(axis))
+        yield (
+            name,
+            title,
+            f"{at}, assume {results.assume}; {behind}. {curves}",
+            drawing.against(results, axis),
+        )
     setting = results.nearest(USUAL)
     set_to = (
         f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, assume {results.assume}, "

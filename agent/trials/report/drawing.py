@@ -1,6 +1,7 @@
 """The report's pictures: pure functions from results or flights to a matplotlib figure."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -8,18 +9,17 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.transforms import ScaledTranslation
-from numpy.typing import NDArray
 
 from agent.policies import OURS
-from agent.trials.report.published import PUBLISHED, Published
-from agent.trials.report.results import Key, Results, Setting
+from agent.trials.report.published import PUBLISHED
+from agent.trials.report.results import Results
+from plume.elementary import Array
 from plume.outcome import Outcome, TracePoint
 from plume.scenario import AREA_M, SUCCESS_RADIUS_M
 from scene.drawing import ESTIMATE, INK, SOURCE, START, plume, ticks
 from scene.scene import Release
 
-Array = NDArray[np.float64]
-Flight = tuple[Outcome, list[TracePoint]]
+Trial = tuple[Outcome, list[TracePoint]]
 
 WIDTH_IN = 10.0
 # Colour and marker of each policy in all pictures. Those of `FIVE` are of Okabe and Ito's palette.
@@ -50,16 +50,16 @@ PATH: dict[str, Any] = {"color": INK, "linewidth": 1.2, "marker": ".", "markersi
 # (figure, label, scale).
 PANELS = (("ceased", "ceased, %", 100.0), ("mtd_m", "MTD, m", 1.0), ("search_time_s", "ST, s", 1.0))
 COLOURS = ("#0072b2", "#d55e00", "#009e73")
-NAMED = (("position", "UAV", COLOURS[0]), ("mean", "belief mean", COLOURS[1]))
+PATHS = (("position", "UAV", COLOURS[0]), ("mean", "belief mean", COLOURS[1]))
+# (label, scale, form of its numbers, degrees by which they are turned).
+AXES = {"particles": ("particles", "log", "{:,.0f}", 45), "threshold_m": ("ζ, m", "linear", "{:g}", 0)}
 LAST_STEPS = 10
 APART_IN = 0.025  # distance between the points of two policies at one setting
 LEAST_DISTANCE_M = 0.05  # shorter distances are drawn at this value
 
 
 def compared(policies: Sequence[str]) -> list[str]:
-    """Return the policies that one picture shows: all of five or fewer, else the five and those that do
-    not ship.
-    """
+    """Return the policies that one picture shows: up to five, else `FIVE` and those that do not ship."""
     if len(policies) <= len(FIVE):
         return list(policies)
     return [policy for policy in policies if policy in FIVE or policy not in OURS] or list(
@@ -67,49 +67,34 @@ def compared(policies: Sequence[str]) -> list[str]:
     )
 
 
-def against_particles(results: Results) -> Figure:
-    """Ceased, MTD and ST against the number of particles, at one ζ."""
-    keys = [key for key in results.rows if key[1].threshold_m == results.threshold_m]
-    figure = _panels(results, keys, lambda it: it.particles)
-    for ax in figure.axes:
-        ax.set(xlabel="particles", xscale="log")
-        ticks(ax.xaxis, {key[1].particles for key in keys}, "{:,.0f}")
-        ax.tick_params(axis="x", labelrotation=45)
-    return figure
+def against(results: Results, axis: str) -> Figure:
+    """Ceased, MTD and ST against `particles` or `threshold_m`: a curve for each policy.
 
-
-def against_thresholds(results: Results) -> Figure:
-    """Ceased, MTD and ST against ζ, with one number of particles."""
-    keys = [key for key in results.rows if key[1].particles == results.particles]
-    figure = _panels(results, keys, lambda it: it.threshold_m)
-    for ax in figure.axes:
-        ax.set(xlabel="ζ, m")
-        ticks(ax.xaxis, {key[1].threshold_m for key in keys}, "{:g}")
-    return figure
-
-
-def _panels(
-    results: Results, keys: Sequence[Key], x_of: Callable[[Setting | Published], float | None]
-) -> Figure:
-    """One panel per figure, one curve per policy; the paper's figures are hollow."""
+    The paper's figures are hollow.
+    """
+    label, scale, form, turned = AXES[axis]
+    x_of, keys = attrgetter(axis), results.along(axis)
     figure = Figure(figsize=(WIDTH_IN, 4.8), layout="constrained")
     policies = [policy for policy in compared(results.policies) if policy in {key[0] for key in keys}]
-    for ax, (name, label, scale) in zip(figure.subplots(1, 3), PANELS, strict=True):
-        ax.set(ylabel=label, xmargin=0.1)
+    for ax, (name, of, factor) in zip(figure.subplots(1, 3), PANELS, strict=True):
+        ax.set(ylabel=of, xmargin=0.1)
         for i, policy in enumerate(policies):
             said = [(x_of(key[1]), results.figures[key]) for key in keys if key[0] == policy]
             curve = [(x, it[name], *it[f"{name}_interval"]) for x, it in said if it[name] is not None]
-            x, value, low, high = np.array(sorted(curve)).reshape(-1, 4).T * [[1], [scale], [scale], [scale]]
-            bars = np.maximum(
-                (value - low, high - value), 0
-            )  # rounding can put an end of the interval past the value
+            x, value, low, high = np.array(sorted(curve)).reshape(-1, 4).T * [
+                [1],
+                [factor],
+                [factor],
+                [factor],
+            ]
+            # Rounding can put an end of the interval past the value.
+            bars = np.maximum((value - low, high - value), 0)
             beside = ScaledTranslation((i - (len(policies) - 1) / 2) * APART_IN, 0, figure.dpi_scale_trans)
             colour, marker = LOOKS.get(policy, OTHER_LOOK)
             style: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 5, "linewidth": 1.2}
             ax.errorbar(x, value, bars, label=policy, transform=ax.transData + beside, **style)
-            ax.update_datalim(
-                np.stack([np.tile(x, 2), np.concatenate([low, high])], axis=1)
-            )  # autoscaling ignores shifted points
+            # Autoscaling ignores shifted points.
+            ax.update_datalim(np.stack([np.tile(x, 2), np.concatenate([low, high])], axis=1))
         for it in PUBLISHED:
             if it.figure == name and it.policy in policies and (at := x_of(it)) is not None:
                 colour, marker = LOOKS[it.policy]
@@ -121,7 +106,7 @@ def _panels(
                     "linestyle": "none",
                     "zorder": 5,
                 }
-                ax.plot(at, scale * it.value, label=f"paper: {it.method}", **style)
+                ax.plot(at, factor * it.value, label=f"paper: {it.method}", **style)
     ceased, mtd, st = figure.axes
     ceased.set_yscale("function", functions=(_stretched, _unstretched))
     ceased.set_ylim(0, 100.3)
@@ -139,6 +124,10 @@ def _panels(
     ticks(mtd.yaxis, (10, 15, 20, 25, 30, 40, 50, 70, 100, 150, 200, 300), "{:g}")
     st.set_yscale("log")
     ticks(st.yaxis, [digit * 10**power for power in (-3, -2, -1, 0, 1) for digit in (1, 2, 5)], "{:g}")
+    for ax in figure.axes:
+        ax.set(xlabel=label, xscale=scale)
+        ticks(ax.xaxis, {x_of(key[1]) for key in keys}, form)
+        ax.tick_params(axis="x", labelrotation=turned)
     entries = {
         label: handle
         for ax in figure.axes
@@ -151,16 +140,14 @@ def _panels(
 
 def _stretched(percent: Array) -> Array:
     """Stretch the scale towards 100%, where most policies are."""
-    height: Array = -np.log10(101 - np.minimum(percent, 100.9))
-    return height
+    return np.asarray(-np.log10(101 - np.minimum(percent, 100.9)))
 
 
 def _unstretched(height: Array) -> Array:
-    percent: Array = 101 - 10**-height
-    return percent
+    return 101 - 10**-height
 
 
-def trajectories(flights: Sequence[Flight]) -> Figure:
+def trajectories(flights: Sequence[Trial]) -> Figure:
     """One panel per policy, all on one scenario."""
     columns = 3
     rows = -(-(len(flights) + 1) // columns)  # the last panel is the legend's
@@ -175,7 +162,8 @@ def trajectories(flights: Sequence[Flight]) -> Figure:
         ax.plot(*result.source, **SOURCE)
         ax.plot(*result.estimate, **ESTIMATE)
         ax.set(xlim=(0, AREA_M), ylim=(0, AREA_M), aspect="equal")
-        ax.set_title(f"{result.policy}\n{_verdict(result)}")
+        stop = "ceased, located" if result.located else "ceased, FALSE STOP"
+        ax.set_title(f"{result.policy}\n{stop if result.ceased else 'not ceased'}, {result.distance_m:.0f} m")
         ax.grid(visible=False)
     for i, ax in enumerate(grid.ravel()):
         lowest = i + columns >= len(flights)
@@ -191,25 +179,17 @@ def trajectories(flights: Sequence[Flight]) -> Figure:
         "estimate at the end": ESTIMATE,
         "source": SOURCE,
     }
-    entries = [Line2D([], [], **{"label": label} | style) for label, style in styles.items()]
-    grid.ravel()[-1].legend(handles=entries, loc="center")
+    grid.ravel()[-1].legend(
+        handles=[Line2D([], [], label=label, **style) for label, style in styles.items()], loc="center"
+    )
     return figure
 
 
-def _verdict(result: Outcome) -> str:
-    verdict = (
-        ("ceased, located" if result.located else "ceased, FALSE STOP") if result.ceased else "not ceased"
-    )
-    return f"{verdict}, {result.distance_m:.0f} m"
-
-
-def many(flights: Sequence[Flight]) -> Figure:
-    """Paths of UAV and belief mean in many missions, with the source at the origin; below, their last
-    steps.
-    """
+def many(flights: Sequence[Trial]) -> Figure:
+    """Paths of UAV and belief mean in many missions, with the source at the origin; below, the last steps."""
     figure = Figure(figsize=(WIDTH_IN, 9.6), layout="constrained")
     grid = figure.subplots(2, 2, sharex="row", sharey="row")
-    for (whole, last), (name, what, colour) in zip(grid.T, NAMED, strict=True):
+    for (whole, last), (name, what, colour) in zip(grid.T, PATHS, strict=True):
         for result, trace in flights:
             assert result.source is not None
             path = _places(trace, name) - result.source
@@ -234,9 +214,8 @@ def many(flights: Sequence[Flight]) -> Figure:
     return figure
 
 
-def distances(flights: Sequence[Flight]) -> Figure:
-    """Distances at each step of many missions with median and quartiles, and the number of missions still
-    flying.
+def distances(flights: Sequence[Trial]) -> Figure:
+    """Distances at each step of many missions, and the number of missions still flying.
 
     Median and quartiles include ended missions with their last distance.
     """
@@ -273,5 +252,4 @@ def distances(flights: Sequence[Flight]) -> Figure:
 
 
 def _places(trace: Sequence[TracePoint], name: str) -> Array:
-    """(steps, 2) m."""
     return np.array([getattr(point, name) for point in trace])

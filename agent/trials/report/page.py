@@ -8,7 +8,7 @@ from html import escape
 
 from agent.trials.report.tables import Table
 
-STYLE = """
+CSS = """
 :root { color-scheme: light dark; --ink: #1b1f24; --paper: #ffffff; --faint: #6b7280; --rule: #d9dde3; --band: #f5f6f8; --link: #0b5cad; }
 @media (prefers-color-scheme: dark) {
   :root { --ink: #e6e8eb; --paper: #14171a; --faint: #9aa3ad; --rule: #333a42; --band: #1c2126; --link: #7db7f0; }
@@ -57,7 +57,7 @@ def page(summary: str, pictures: Sequence[Picture], tables: Sequence[Table]) -> 
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>Plumeward: results</title>
-<style>{STYLE}</style>
+<style>{CSS}</style>
 </head>
 <body>
 <h1>Plumeward: results</h1>

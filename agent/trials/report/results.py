@@ -53,6 +53,11 @@ class Results:
         """The N of most missions, at which thresholds are compared."""
         return Counter(setting.particles for _, setting in self.rows).most_common(1)[0][0]
 
+    def along(self, axis: str) -> list[Key]:
+        """Return the keys along `particles` or `threshold_m`, with the other one of most missions."""
+        fixed = "threshold_m" if axis == "particles" else "particles"
+        return [key for key in self.rows if getattr(key[1], fixed) == getattr(self, fixed)]
+
     def nearest(self, wanted: Setting) -> Setting:
         """Return the setting flown that is nearest to `wanted`, first in N, then in ζ."""
         flown = {setting for _, setting in self.rows}
@@ -62,7 +67,8 @@ class Results:
         )
 
     def best(self, setting: Setting, of: Collection[str]) -> str | None:
-        """Return the policy with the lowest MTD among those within one point of the highest ceased share;
+        """Return the policy with the lowest MTD within one point of the highest ceased share.
+
         None if none ceased.
         """
         said = {

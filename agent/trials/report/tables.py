@@ -29,10 +29,13 @@ class Table:
 
 def tables(results: Results) -> list[Table]:
     """Return all tables of the report."""
-    by_particles = [key for key in results.rows if key[1].threshold_m == results.threshold_m]
     return [
         against_paper(results),
-        ours(results, by_particles, f"Our figures at ζ = {results.threshold_m:g} m, assume {results.assume}"),
+        ours(
+            results,
+            results.along("particles"),
+            f"Our figures at ζ = {results.threshold_m:g} m, assume {results.assume}",
+        ),
         by_threshold(results),
     ]
 
@@ -40,29 +43,33 @@ def tables(results: Results) -> list[Table]:
 def by_threshold(results: Results) -> Table:
     """Return the share located and the distance at the usual N, one row per policy and one column per ζ."""
     found = {
-        (policy, setting.threshold_m): results.figures[policy, setting]
-        for policy, setting in results.rows
-        if setting.particles == results.particles
+        (key[0], key[1].threshold_m): " / ".join(
+            cell(results.figures[key], of) for of in ("located", "mtd_m")
+        )
+        for key in results.along("threshold_m")
     }
     limits_m = sorted({limit_m for _, limit_m in found})
-    rows = []
-    for policy in dict.fromkeys(policy for policy, _ in found):
-        cells = [found.get((policy, limit_m)) for limit_m in limits_m]
-        shown = (UNKNOWN if it is None else f"{cell(it, 'located')} / {cell(it, 'mtd_m')}" for it in cells)
-        rows.append([policy, *shown])
+    rows = [
+        [policy, *(found.get((policy, limit_m), UNKNOWN) for limit_m in limits_m)]
+        for policy in dict.fromkeys(policy for policy, _ in found)
+    ]
     title = f"Located, % / MTD, m, at N = {results.particles:,}, by ζ, assume {results.assume}"
     return Table(title, ["policy", *(f"{limit_m:g} m" for limit_m in limits_m)], rows, [])
 
 
 def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
     """Return our figures, one row per policy and setting."""
-    rows = []
-    for policy, setting in sorted(keys, key=lambda key: key[1]):  # policies stay in their order
-        said = results.figures[policy, setting]
-        figures = [cell(said, key) for key in COLUMNS]
-        rows.append(
-            [str(setting.particles), f"{setting.threshold_m:g}", policy, str(said["missions"]), *figures]
-        )
+    by_setting = sorted(keys, key=lambda key: key[1])  # policies stay in their order
+    rows = [
+        [
+            str(setting.particles),
+            f"{setting.threshold_m:g}",
+            policy,
+            str(results.figures[policy, setting]["missions"]),
+            *(cell(results.figures[policy, setting], figure) for figure in COLUMNS),
+        ]
+        for policy, setting in by_setting
+    ]
     notes = [
         "In brackets: 95% intervals, Wilson's for shares and bootstrap for means. *ceased*: a stop was "
         "declared within the step budget."
@@ -83,9 +90,7 @@ def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
 
 
 def against_paper(results: Results) -> Table:
-    """Return the paper's figures with ours of the same meaning, at the paper's setting as far as it is
-    stated.
-    """
+    """Return the paper's figures with ours of the same meaning, at the setting that it states."""
     rows = []
     below = []
     for it in PUBLISHED:
@@ -174,8 +179,7 @@ def _below_the_floor(results: Results, below: Sequence[tuple[Published, Setting,
     values = " and ".join(f"{it.value:g} m" for it, _, _ in below)
     floors = ", ".join(f"{floor_m:.1f} m at ζ = {setting.threshold_m:g} m" for _, setting, floor_m in below)
     seeds = sorted({row.seed for rows in results.rows.values() for row in rows})
-    truths = [draw(seed) for seed in seeds]
-    straight_m = np.mean([math.dist(it.start, it.source) for it in truths])
+    straight_m = np.mean([math.dist(it.start, it.source) for it in map(draw, seeds)])
     return (
         f"(4) {values} cannot be reached with this noise, these starts and these sources. They are below the "
         "mean information floor"

@@ -265,7 +265,7 @@ def test_the_curve_sums_up_the_missions_that_ended() -> None:
 def test_every_recipe_can_be_begun(preset: str, algorithm: str) -> None:
     from agent.learn.env import SourceSearchVector
     from agent.learn.sb3 import StableBaselinesEnv
-    from agent.learn.train.graph import graph
+    from agent.learn.train.export import graph
     from agent.learn.train.loop import layers_of, learner
 
     recipe = PRESETS[preset][algorithm]

@@ -22,6 +22,7 @@ from agent.trials.report.command import FILES, run, save, write
 from agent.trials.report.published import PUBLISHED
 from agent.trials.report.results import Results, Setting, read
 from agent.trials.report.tables import against_paper, tables
+from link.cli import BadInput
 from plume.outcome import Outcome, TracePoint
 from plume.scenario import Scenario
 
@@ -229,7 +230,7 @@ def test_curves_are_of_the_policies_compared_and_the_papers_points_of_theirs(
         for particles in (100, 4000)
         for seed in range(3)
     ]
-    figure = drawing.against_particles(results_of(tmp_path, rows))
+    figure = drawing.against(results_of(tmp_path, rows), "particles")
     shown = {text.get_text() for text in figure.legends[0].get_texts()}
     assert shown == {*drawing.FIVE, "paper: AGDC-PPO", "paper: Infotaxis", "information floor"}
 
@@ -329,7 +330,7 @@ def test_the_same_picture_is_the_same_file(tmp_path: Path, drawing: Any) -> None
 
     results = results_of(tmp_path, SEVERAL)
     with matplotlib.rc_context(STYLE):
-        one, two = (save(drawing.against_particles(results), tmp_path / name) for name in ("one", "two"))
+        one, two = (save(drawing.against(results, "particles"), tmp_path / name) for name in ("one", "two"))
     assert one == two
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
 
@@ -368,25 +369,22 @@ def test_without_matplotlib_it_says_what_to_install(
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_no_file_of_a_folder_is_written_over_unasked(tmp_path: Path, capsys, name: str) -> None:
+def test_no_file_of_a_folder_is_written_over_unasked(tmp_path: Path, name: str) -> None:
     results_of(tmp_path, FOUR)
     (tmp_path / name).write_text("a page of mine")
-    assert run(argparse.Namespace(results=tmp_path, out=tmp_path, force=False)) == 2
-    assert (
-        capsys.readouterr().err
-        == f"error: --out: '{tmp_path / name}' exists; wanted another name, or --force\n"
-    )
+    with pytest.raises(BadInput) as refused:
+        run(argparse.Namespace(results=tmp_path, out=tmp_path, force=False))
+    assert str(refused.value) == f"--out: '{tmp_path / name}' exists; wanted another name, or --force"
     assert {path.name for path in tmp_path.iterdir()} == {"rows.csv", name}
     assert (tmp_path / name).read_text() == "a page of mine"
 
 
 def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_drawn(capsys, tmp_path: Path) -> None:
     results_of(tmp_path, FOUR)
-    assert run(argparse.Namespace(results=tmp_path, out=Path("/proc"), force=False)) == 2
-    assert capsys.readouterr() == (
-        "",
-        "error: --out: '/proc/particles.png' cannot be written: No such file or directory\n",
-    )
+    with pytest.raises(BadInput) as refused:
+        run(argparse.Namespace(results=tmp_path, out=Path("/proc"), force=False))
+    said = "--out: '/proc/particles.png' cannot be written: No such file or directory"
+    assert (str(refused.value), capsys.readouterr().out) == (said, "")
 
 
 def test_the_service_does_not_pay_for_it() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.trials.workers import AHEAD, WorkerLost, as_flown
+from agent.trials.workers import HANDED_OUT, WorkerLost, as_flown
 
 pytestmark = pytest.mark.slow
 
@@ -68,7 +68,7 @@ def test_tasks_are_drawn_as_they_are_flown_and_not_all_at_once() -> None:
     flown = as_flown(square, tasks(), 1)
     for count in range(1, 20):
         next(flown)
-        assert len(drawn) < count + 2 * AHEAD
+        assert len(drawn) < count + 2 * HANDED_OUT
     flown.close()
 
 
