@@ -43,9 +43,13 @@ class Release:
         """
         axis = (np.arange(cells) + 0.5) * (area_m / cells)
         x, y = np.meshgrid(axis, axis)
-        places = np.stack([x, y, np.zeros_like(x)], axis=-1)
         gas = concentration(
-            places, (*self.source, self.height), self.wind, rate=self.q, diffusivity=self.d, lifetime=self.tau
+            np.stack([x, y, np.zeros_like(x)], axis=-1),
+            (*self.source, self.height),
+            self.wind,
+            rate=self.q,
+            diffusivity=self.d,
+            lifetime=self.tau,
         )
         with np.errstate(over="ignore"):  # a record may say absurd things of its source
             return gas.astype(np.float32)

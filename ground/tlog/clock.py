@@ -100,8 +100,9 @@ def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> VehicleClock:
     gaps = np.flatnonzero(silences_us > GAP_US).tolist()
     if gaps:
         told = few([f"{silences_us[gap] / 1e6:.1f} s at {log.seconds(own[gap]):.1f} s" for gap in gaps])
-        total_s = silences_us[gaps].sum() / 1e6
-        log.notes.append(f"gaps without a message from the vehicle: {told}; {total_s:.1f} s in total")
+        log.notes.append(
+            f"gaps without a message from the vehicle: {told}; {silences_us[gaps].sum() / 1e6:.1f} s in total"
+        )
     newest_ms = np.maximum.accumulate(times_ms)
     return VehicleClock(log, ticks, log.times_us[ticks], raw, times_ms, newest_ms, boots)
 

@@ -3,6 +3,7 @@
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -200,7 +201,7 @@ def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: P
         said = [(index, pair) for index, m in told if all(map(math.isfinite, pair := toward(m)))]
         if said:
             log.notes.append(f"wind: {len(said):,} {NAMES[message_id]}")
-            return _changing(Reported(clock, said))
+            return partial(_reported, Reported(clock, said))
     raise BadInput(
         f"system {autopilot.system} sent no wind (WIND_COV or WIND); give it with --wind SPEED,FROM"
     )
@@ -224,14 +225,8 @@ def steady(wind: Pair) -> Air:
     return lambda _: wind
 
 
-def _changing(reported: Reported) -> Air:
-    """Return the latest wind message at each time, while it is valid."""
-
-    def air(time_ms: float) -> Pair | None:
-        last = reported.last(time_ms)
-        if abs(time_ms - reported.times_ms[last]) > WIND_AGE_MS:
-            return None
-        x, y = reported.values[last].tolist()
-        return x, y
-
-    return air
+def _reported(winds: Reported, time_ms: float) -> Pair | None:
+    """Return the latest wind message at a time, while it is valid."""
+    last = winds.last(time_ms)
+    x, y = winds.values[last].tolist()
+    return (x, y) if abs(time_ms - winds.times_ms[last]) <= WIND_AGE_MS else None
