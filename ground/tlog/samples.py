@@ -128,9 +128,9 @@ def read_gas(
         this = component, int(boots[index]), boot_ms, value
         if boot_ms and this in taken:  # a value that was taken once is said again until there is another
             left_out["repeated"] += 1
-            continue
-        taken.add(this)
-        said.append((index, component, boot_ms, value))
+        else:
+            taken.add(this)
+            said.append((index, component, boot_ms, value))
     if not said:
         raise BadInput(_no_gas(log, autopilot, source))
     log.notes.append(f"gas: {counted(len(said), 'value')} of {source.text}")
