@@ -118,11 +118,9 @@ def _next(data: bytes, at: int, refused: dict[int, int]) -> tuple[int, Frame] | 
     """
     for start in itertools.chain((at + STAMP,), (match.start() for match in MARKER.finditer(data, at))):
         frame = frame_at(data, start)
-        if frame is None:
-            continue
-        if _is_real(data, at, start, frame):
+        if frame and _is_real(data, at, start, frame):
             return start, frame
-        if frame.message_id in SEEDS and _is_between_records(data, at, start, frame):
+        if frame and frame.message_id in SEEDS and _is_between_records(data, at, start, frame):
             refused[start] = frame.message_id
     return None
 

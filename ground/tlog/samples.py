@@ -105,11 +105,12 @@ def recorded(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple
         except BadFrame as error:
             if error.kind == "not finite":  # its sensor had no value
                 fixes.append(first)
-            continue
-        fixes.append(first)
-        time_ms = round(float(clock.own_ms(np.array([first]), np.array([said.time_boot_ms]))[0]))
-        place = said.position[1], said.position[0], said.altitude_m
-        samples.setdefault(time_ms, LoggedGas(time_ms, int(log.times_us[first]), said.gas, place, said.wind))
+        else:
+            fixes.append(first)
+            time_ms = round(float(clock.own_ms(np.array([first]), np.array([said.time_boot_ms]))[0]))
+            place = said.position[1], said.position[0], said.altitude_m
+            sample = LoggedGas(time_ms, int(log.times_us[first]), said.gas, place, said.wind)
+            samples.setdefault(time_ms, sample)
     return [samples[time_ms] for time_ms in sorted(samples)], fixes
 
 
