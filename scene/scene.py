@@ -186,8 +186,9 @@ def judged(step: int, estimate: Point, spread_m: float, release: Release | None)
     if release is None:
         return Ending("ceased", words)
     error_m = math.dist(estimate, release.source)
-    verdict = "located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP"
-    return Ending(verdict, f"{words}; error {error_m:.2f} m")
+    return Ending(
+        "located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP", f"{words}; error {error_m:.2f} m"
+    )
 
 
 def ellipse(covariance: tuple[float, float, float]) -> tuple[float, float, float]:

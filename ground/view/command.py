@@ -154,5 +154,6 @@ def _listening(flag: str, host: str, port: int) -> socket.socket:
             (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET, backlog=64
         )
     except OSError as error:
-        reason = str(error.strerror).partition(" (while")[0]
-        raise cli.BadInput(f"{flag}: cannot serve on {host} port {port}: {reason}") from None
+        raise cli.BadInput(
+            f"{flag}: cannot serve on {host} port {port}: {str(error.strerror).partition(' (while')[0]}"
+        ) from None
