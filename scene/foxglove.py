@@ -173,17 +173,20 @@ class SceneEncoder:
             source = [_ball("source", release.source, 0.6)] if release else []
             yield from self._marks("source", source, stamp_ns)
             cells = PLUME_CELLS if release else 0
-            grid = Grid(
-                frame_id=self._map,
-                column_count=cells,
-                row_stride=4 * cells,
-                cell_stride=4,
-                pose=_pose(),
-                cell_size=_at((side_m / PLUME_CELLS, side_m / PLUME_CELLS)),
-                fields=_floats("gas"),
-                data=release.gas(side_m, cells).astype("<f4", copy=False).tobytes() if release else b"",
+            yield from self._say(
+                "plume",
+                Grid(
+                    frame_id=self._map,
+                    column_count=cells,
+                    row_stride=4 * cells,
+                    cell_stride=4,
+                    pose=_pose(),
+                    cell_size=_at((side_m / PLUME_CELLS, side_m / PLUME_CELLS)),
+                    fields=_floats("gas"),
+                    data=release.gas(side_m, cells).astype("<f4", copy=False).tobytes() if release else b"",
+                ),
+                stamp_ns,
             )
-            yield from self._say("plume", grid, stamp_ns)
 
     def _readings(self, measurements: Sequence[Measurement], stamp_ns: int) -> Iterator[Encoded]:
         """Yield the path, and the estimate after its last reading."""
@@ -220,14 +223,17 @@ class SceneEncoder:
             rows = np.column_stack((scatter.places, np.zeros_like(scatter.weights), scatter.weights))
         elif "particles" not in self._said:
             return
-        cloud = PointCloud(
-            frame_id=self._map,
-            point_stride=16,
-            pose=_pose(),
-            fields=_floats("x", "y", "z", "weight"),
-            data=rows.astype("<f4", copy=False).tobytes(),
+        yield from self._say(
+            "particles",
+            PointCloud(
+                frame_id=self._map,
+                point_stride=16,
+                pose=_pose(),
+                fields=_floats("x", "y", "z", "weight"),
+                data=rows.astype("<f4", copy=False).tobytes(),
+            ),
+            stamp_ns,
         )
-        yield from self._say("particles", cloud, stamp_ns)
 
     def _happenings(self, happenings: Sequence[Happening], stamp_ns: int) -> Iterator[Encoded]:
         new = _after(happenings, self._happening)

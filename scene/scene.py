@@ -43,9 +43,13 @@ class Release:
         """
         axis = (np.arange(cells) + 0.5) * (area_m / cells)
         x, y = np.meshgrid(axis, axis)
-        places = np.stack([x, y, np.zeros_like(x)], axis=-1)
         gas = concentration(
-            places, (*self.source, self.height), self.wind, rate=self.q, diffusivity=self.d, lifetime=self.tau
+            np.stack([x, y, np.zeros_like(x)], axis=-1),
+            (*self.source, self.height),
+            self.wind,
+            rate=self.q,
+            diffusivity=self.d,
+            lifetime=self.tau,
         )
         with np.errstate(over="ignore"):  # a record may say absurd things of its source
             return gas.astype(np.float32)
@@ -182,8 +186,9 @@ def judged(step: int, estimate: Point, spread_m: float, release: Release | None)
     if release is None:
         return Ending("ceased", words)
     error_m = math.dist(estimate, release.source)
-    verdict = "located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP"
-    return Ending(verdict, f"{words}; error {error_m:.2f} m")
+    return Ending(
+        "located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP", f"{words}; error {error_m:.2f} m"
+    )
 
 
 def ellipse(covariance: tuple[float, float, float]) -> tuple[float, float, float]:

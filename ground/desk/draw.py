@@ -3,7 +3,8 @@
 import argparse
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,15 +19,12 @@ MOST_STEPS = 1_000_000
 PICTURES = (".png", ".svg")
 
 
-def _file(*endings: str) -> Callable[[str], Path]:
-    def parse(text: str) -> Path:
-        if Path(text).suffix not in endings:
-            raise argparse.ArgumentTypeError(
-                f"{text!r} is not allowed; wanted a file that ends in {cli.listing(endings)}"
-            )
-        return Path(text)
-
-    return parse
+def _file(endings: Sequence[str], text: str) -> Path:
+    if Path(text).suffix not in endings:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not allowed; wanted a file that ends in {cli.listing(endings)}"
+        )
+    return Path(text)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap written by a mission or `record`")
     parser.add_argument(
         "--out",
-        type=_file(*PICTURES),
+        type=partial(_file, PICTURES),
         metavar="FILE",
         help="the picture, .png or .svg (default: LOG.png beside the log; none where only --gif or --mp4 is "
         "given)",
@@ -48,10 +46,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "thirds, and the last)",
     )
     parser.add_argument(
-        "--gif", type=_file(".gif"), metavar="FILE.gif", help="an animation, a frame for each reading"
+        "--gif",
+        type=partial(_file, (".gif",)),
+        metavar="FILE.gif",
+        help="an animation, a frame for each reading",
     )
     parser.add_argument(
-        "--mp4", type=_file(".mp4"), metavar="FILE.mp4", help="the same as a film; needs ffmpeg"
+        "--mp4", type=partial(_file, (".mp4",)), metavar="FILE.mp4", help="the same as a film; needs ffmpeg"
     )
     cli.add_output_guard(parser)
 
@@ -78,11 +79,11 @@ def run(args: argparse.Namespace) -> int:
     beliefs = _beliefs(history, args.at) if args.out else []
     for flag, path in wanted.items():
         try:
-            with whole(path) as partial:
+            with whole(path) as unfinished:
                 if flag == "--out":
-                    _draw(history, beliefs, partial, path.suffix[1:])
+                    _draw(history, beliefs, unfinished, path.suffix[1:])
                 else:
-                    (write_gif if flag == "--gif" else write_mp4)(_frames(history), partial)
+                    (write_gif if flag == "--gif" else write_mp4)(_frames(history), unfinished)
         except OSError as error:
             raise cli.BadInput(
                 f"{flag}: {str(path)!r} cannot be written: {error.strerror or error}"

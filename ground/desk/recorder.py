@@ -133,7 +133,9 @@ def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> N
     flush_at = 0.0
     ended = False
     while not ended:
-        _await_batch(ends)
+        until = time.monotonic() + BATCH_S
+        while not ends and (left_s := until - time.monotonic()) > 0.0:
+            time.sleep(min(left_s, SIGNAL_POLL_S))
         ended = bool(ends)  # read first, so that the messages from before the end are still written
         if ended:
             bus.settle(LAST_WORDS_S)
@@ -161,12 +163,6 @@ def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> N
             writer.flush()
             flush_at = time.monotonic() + FLUSH_S
     writer.close()
-
-
-def _await_batch(ends: list[int]) -> None:
-    until = time.monotonic() + BATCH_S
-    while not ends and (left_s := until - time.monotonic()) > 0.0:
-        time.sleep(min(left_s, SIGNAL_POLL_S))
 
 
 def _give_way() -> None:

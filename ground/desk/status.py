@@ -177,14 +177,18 @@ def _show(
     """Show a report; returns whether all is well."""
     well = not no_router and all(part["status"] == OK for part in parts.values())
     if args.json:
-        fields = {
-            "ok": well,
-            "namespace": args.namespace,
-            "router": {"endpoint": args.connect, "status": MISSING if no_router else OK},
-            "ceased": bool(_knowing(parts)),
-            "parts": parts,
-        }
-        print(json.dumps(fields), flush=True)
+        print(
+            json.dumps(
+                {
+                    "ok": well,
+                    "namespace": args.namespace,
+                    "router": {"endpoint": args.connect, "status": MISSING if no_router else OK},
+                    "ceased": bool(_knowing(parts)),
+                    "parts": parts,
+                }
+            ),
+            flush=True,
+        )
     else:
         told = _table(args, no_router, parts)
         if shown:

@@ -7,7 +7,7 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -24,17 +24,12 @@ from plume.randomness import MAX_SEED
 from sitl.launch.processes import MissionFailed
 
 
-def _pair(names: str) -> Callable[[str], tuple[float, float]]:
-    def parse(text: str) -> tuple[float, float]:
-        try:
-            one, two = (float(part) for part in text.split(","))
-        except ValueError:
-            raise argparse.ArgumentTypeError(
-                f"{text!r} is not allowed; wanted {names}, two numbers"
-            ) from None
-        return one, two
-
-    return parse
+def _pair(names: str, text: str) -> tuple[float, float]:
+    try:
+        one, two = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted {names}, two numbers") from None
+    return one, two
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -123,7 +118,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--wind",
-        type=_pair("SPEED,FROM"),
+        type=partial(_pair, "SPEED,FROM"),
         metavar="SPEED,FROM",
         help="tlog: wind to use instead of the log's, m/s and the direction it comes from in degrees",
     )
@@ -135,7 +130,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--origin",
-        type=_pair("NORTH,EAST"),
+        type=partial(_pair, "NORTH,EAST"),
         metavar="NORTH,EAST",
         help="tlog: south-western corner of the search area, m in the log's local frame (default: home, if "
         "the readings lie "

@@ -224,11 +224,10 @@ class Player:
 
     def _must_be_silent(self, key: tuple[int, str]) -> bool:
         """Whether the log proves that there was no such answer."""
-        source = self._source
         return (
-            key not in source.then
-            and key[0] <= source.sure_ms
-            and verify.must_be_silent(source.then, *key, source.budget)
+            key not in self._source.then
+            and key[0] <= self._source.sure_ms
+            and verify.must_be_silent(self._source.then, *key, self._source.budget)
         )
 
     def _show(self, belief: Belief | None) -> None:

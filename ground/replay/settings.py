@@ -56,16 +56,19 @@ REPEATED = ("prior", "waypoints")
 LONGEST = 80  # characters of a word that are quoted
 
 
-def words(service: str, recorded: list[str]) -> list[str]:
+def words(service: str, recorded: list[str], bundle: str | None = None) -> list[str]:
     """Return the flags for a service of today from its recorded ones.
 
-    Raises ValueError with the one that a record may not give.
+    bundle: the file of a policy that the user names in place of the recorded one. Raises ValueError with the
+    flag that a record may not give.
     """
     given: dict[str, Any] = {}
     for flag, value in _pairs(recorded):
         name = flag.removeprefix("--")
         if name == flag or (name in given and name not in REPEATED):
             raise ValueError(_quoted(flag))
+        if bundle and name == "policy":
+            continue
         given[name] = [*given.get(name, []), value] if name in REPEATED else value
         try:
             msgspec.convert({name: given[name]}, SETTINGS[service], strict=False)
@@ -73,24 +76,13 @@ def words(service: str, recorded: list[str]) -> list[str]:
             raise ValueError(_quoted(f"{flag} {value}")) from None
     if service == "estimator":
         given.setdefault("assume", "paper")  # older estimators took all but the position to be known
-    return as_words(msgspec.to_builtins(msgspec.convert(given, SETTINGS[service], strict=False)))
+    settings = msgspec.to_builtins(msgspec.convert(given, SETTINGS[service], strict=False))
+    return as_words(settings | ({"policy": bundle} if bundle else {}))
 
 
 def flew_a_bundle(recorded: list[str]) -> bool:
     """Whether an agent's recorded flags name the file of a policy."""
     return any(flag == "--policy" and value.endswith(".zip") for flag, value in pairwise(recorded))
-
-
-def with_bundle(recorded: list[str], bundle: str) -> list[str]:
-    """Return an agent's flags with the file that the user names in place of the recorded one.
-
-    Raises ValueError as `words` does.
-    """
-    return [
-        *words("agent", [word for pair in _pairs(recorded) if pair[0] != "--policy" for word in pair]),
-        "--policy",
-        bundle,
-    ]
 
 
 def as_words(settings: Mapping[str, Any]) -> list[str]:

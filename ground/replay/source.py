@@ -104,11 +104,7 @@ def recording(path: Path, bundle: str | None = None) -> Source:
     for service, words in told.parts.items():
         if service in SERVICES.values():
             try:
-                parts[service] = (
-                    settings.with_bundle(words, bundle)
-                    if bundle and service == "agent"
-                    else settings.words(service, words)
-                )
+                parts[service] = settings.words(service, words, bundle if service == "agent" else None)
             except ValueError as error:
                 hint = (
                     "; name the bundle with --policy"

@@ -83,12 +83,12 @@ def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> VehicleClock:
         ticks = np.array([0, len(log) - 1])  # the vehicle says none: ms since the log began
         raw = (log.times_us[ticks] - log.times_us[0]) // 1000
     times_ms, boots = _continuous(raw.tolist(), log.times_us[ticks].tolist())
+    newest_ms = np.maximum.accumulate(times_ms)
     own = np.flatnonzero(log.records.systems == autopilot.system)
     if log.is_timed:
         _remove_jumps(log, own, ticks, times_ms, boots)
     else:
-        newest_us = 1000 * np.maximum.accumulate(times_ms)
-        log.times_us = np.interp(np.arange(len(log)), ticks, newest_us).astype(np.int64)
+        log.times_us = np.interp(np.arange(len(log)), ticks, 1000 * newest_ms).astype(np.int64)
         log.notes.append("the log has no record times: the vehicle's own times are used")
     restarts = [
         f"at {log.seconds(ticks[tick]):.1f} s (time_boot_ms from {raw[tick - 1]:,} to {raw[tick]:,})"
@@ -100,9 +100,9 @@ def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> VehicleClock:
     gaps = np.flatnonzero(silences_us > GAP_US).tolist()
     if gaps:
         told = few([f"{silences_us[gap] / 1e6:.1f} s at {log.seconds(own[gap]):.1f} s" for gap in gaps])
-        total_s = silences_us[gaps].sum() / 1e6
-        log.notes.append(f"gaps without a message from the vehicle: {told}; {total_s:.1f} s in total")
-    newest_ms = np.maximum.accumulate(times_ms)
+        log.notes.append(
+            f"gaps without a message from the vehicle: {told}; {silences_us[gaps].sum() / 1e6:.1f} s in total"
+        )
     return VehicleClock(log, ticks, log.times_us[ticks], raw, times_ms, newest_ms, boots)
 
 
@@ -157,8 +157,7 @@ def _remove_jumps(
             continue
         leap_us = int(steps_us[silence]) - 1000 * max(0, int(times_ms[after] - times_ms[before]))
         if leap_us > GAP_US:
-            at_s = log.seconds(own[silence]) - leapt_us / 1e6
-            told.append(f"{leap_us / 1e6:,.1f} s at {at_s:.1f} s")
+            told.append(f"{leap_us / 1e6:,.1f} s at {log.seconds(own[silence]) - leapt_us / 1e6:.1f} s")
             leaps_us[own[silence + 1]] = leap_us
             leapt_us += leap_us
     log.times_us -= np.cumsum(leaps_us)

@@ -87,9 +87,8 @@ def read(
         samples = read_gas(log, autopilot, clock, source, left_out)
         air = read_wind(log, autopilot, clock, wind)
     taken = _take(samples, every, flying, flown, air, left_out)
-    places = [place for _, place, _ in taken]
     fitted = (area_m or AREA_M, None) if plume else (area_m, home)
-    side_m, corner = _area(places, origin, *fitted)
+    side_m, corner = _area([place for _, place, _ in taken], origin, *fitted)
     readings = _readings(taken, corner, side_m, plume, left_out)
     out = ", ".join(f"{count:,} {what}" for what, count in left_out.items())
     if not readings:

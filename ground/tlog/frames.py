@@ -57,7 +57,8 @@ def scan(data: bytes) -> Records:
             garbage.append((len(rows) // 6, skipped))
         rows.extend((stamp, start, end, frame.message_id, frame.system, frame.component))
         at = end
-    if len(data) - at < STAMP + SHORTEST or _ends_beyond(data, at):
+    is_short = len(data) - at < STAMP + SHORTEST
+    if is_short or (_may_begin(data, at) and at + STAMP + frame_length(data, at + STAMP) > len(data)):
         cut_off = len(data) - at
     else:
         garbage.append((len(rows) // 6, len(data) - at))
@@ -117,11 +118,9 @@ def _next(data: bytes, at: int, refused: dict[int, int]) -> tuple[int, Frame] | 
     """
     for start in itertools.chain((at + STAMP,), (match.start() for match in MARKER.finditer(data, at))):
         frame = frame_at(data, start)
-        if frame is None:
-            continue
-        if _is_real(data, at, start, frame):
+        if frame and _is_real(data, at, start, frame):
             return start, frame
-        if frame.message_id in SEEDS and _is_between_records(data, at, start, frame):
+        if frame and frame.message_id in SEEDS and _is_between_records(data, at, start, frame):
             refused[start] = frame.message_id
     return None
 
@@ -161,8 +160,3 @@ def _may_begin(data: bytes, at: int) -> bool:
     if len(data) - at < STAMP + SHORTEST:
         return True
     return _stamp(data, at) != NO_STAMP and data[at + STAMP] in (MAVLINK_1, MAVLINK_2)
-
-
-def _ends_beyond(data: bytes, at: int) -> bool:
-    """True if a record that starts at this offset would extend beyond the end of the file."""
-    return _may_begin(data, at) and at + STAMP + frame_length(data, at + STAMP) > len(data)

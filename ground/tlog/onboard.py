@@ -50,9 +50,8 @@ def _globe(time_ms: int, lat: float, lon: float, alt_m: float, up_m: float = 0.0
 
 
 def _local(time_ms: int, north: float, east: float, down: float, valid: bool) -> Message | None:
-    if not valid:
-        return None
-    return mavlink.MAVLink_local_position_ned_message(time_ms, north, east, down, 0.0, 0.0, 0.0)
+    place = north, east, down
+    return mavlink.MAVLink_local_position_ned_message(time_ms, *place, 0.0, 0.0, 0.0) if valid else None
 
 
 def _wind(_: int, north: float, east: float) -> Message:

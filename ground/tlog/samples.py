@@ -3,6 +3,7 @@
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -104,11 +105,12 @@ def recorded(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple
         except BadFrame as error:
             if error.kind == "not finite":  # its sensor had no value
                 fixes.append(first)
-            continue
-        fixes.append(first)
-        time_ms = round(float(clock.own_ms(np.array([first]), np.array([said.time_boot_ms]))[0]))
-        place = said.position[1], said.position[0], said.altitude_m
-        samples.setdefault(time_ms, LoggedGas(time_ms, int(log.times_us[first]), said.gas, place, said.wind))
+        else:
+            fixes.append(first)
+            time_ms = round(float(clock.own_ms(np.array([first]), np.array([said.time_boot_ms]))[0]))
+            place = said.position[1], said.position[0], said.altitude_m
+            sample = LoggedGas(time_ms, int(log.times_us[first]), said.gas, place, said.wind)
+            samples.setdefault(time_ms, sample)
     return [samples[time_ms] for time_ms in sorted(samples)], fixes
 
 
@@ -127,9 +129,9 @@ def read_gas(
         this = component, int(boots[index]), boot_ms, value
         if boot_ms and this in taken:  # a value that was taken once is said again until there is another
             left_out["repeated"] += 1
-            continue
-        taken.add(this)
-        said.append((index, component, boot_ms, value))
+        else:
+            taken.add(this)
+            said.append((index, component, boot_ms, value))
     if not said:
         raise BadInput(_no_gas(log, autopilot, source))
     log.notes.append(f"gas: {counted(len(said), 'value')} of {source.text}")
@@ -200,7 +202,7 @@ def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: P
         said = [(index, pair) for index, m in told if all(map(math.isfinite, pair := toward(m)))]
         if said:
             log.notes.append(f"wind: {len(said):,} {NAMES[message_id]}")
-            return _changing(Reported(clock, said))
+            return partial(_reported, Reported(clock, said))
     raise BadInput(
         f"system {autopilot.system} sent no wind (WIND_COV or WIND); give it with --wind SPEED,FROM"
     )
@@ -224,14 +226,8 @@ def steady(wind: Pair) -> Air:
     return lambda _: wind
 
 
-def _changing(reported: Reported) -> Air:
-    """Return the latest wind message at each time, while it is valid."""
-
-    def air(time_ms: float) -> Pair | None:
-        last = reported.last(time_ms)
-        if abs(time_ms - reported.times_ms[last]) > WIND_AGE_MS:
-            return None
-        x, y = reported.values[last].tolist()
-        return x, y
-
-    return air
+def _reported(winds: Reported, time_ms: float) -> Pair | None:
+    """Return the latest wind message at a time, while it is valid."""
+    last = winds.last(time_ms)
+    x, y = winds.values[last].tolist()
+    return (x, y) if abs(time_ms - winds.times_ms[last]) <= WIND_AGE_MS else None

@@ -150,8 +150,7 @@ def flown(
     log.notes += moved[:LISTED]
     if (more := len(moved) - LISTED) > 0:
         log.notes.append(f"so it is after {more:,} more starts")
-    anchor = Anchor(home[0], home[1], -float(base[0]), -float(base[1]))
-    return FlownPath([local, around], anchor, True)
+    return FlownPath([local, around], Anchor(home[0], home[1], -float(base[0]), -float(base[1])), True)
 
 
 def _track(

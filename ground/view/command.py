@@ -142,8 +142,9 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
         raise cli.BadInput(f"--{next(iter(truth))}: not with LOG: a record holds its own truth")
     mission = load(truth.pop("mission")) if args.mission else Script()
     script = mission.changed(truth)
-    about = {"mission": script, "scenario": script.simulated().truth, "seed": script.seed}
-    return dict(msgspec.to_builtins(about))
+    return dict(
+        msgspec.to_builtins({"mission": script, "scenario": script.simulated().truth, "seed": script.seed})
+    )
 
 
 def _listening(flag: str, host: str, port: int) -> socket.socket:
@@ -153,5 +154,6 @@ def _listening(flag: str, host: str, port: int) -> socket.socket:
             (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET, backlog=64
         )
     except OSError as error:
-        reason = str(error.strerror).partition(" (while")[0]
-        raise cli.BadInput(f"{flag}: cannot serve on {host} port {port}: {reason}") from None
+        raise cli.BadInput(
+            f"{flag}: cannot serve on {host} port {port}: {str(error.strerror).partition(' (while')[0]}"
+        ) from None

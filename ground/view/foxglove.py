@@ -175,14 +175,15 @@ def _announced(kind: Any) -> dict[str, str]:
 
 
 def _belief(said: Measurement) -> bytes:
-    fields = {
-        "step": said.step,
-        "simulation_s": said.time_s,
-        "position": said.position,
-        **({"gas": said.gas} if math.isfinite(said.gas) else {}),  # JSON knows no NaN
-        "spread": said.spread_m,
-        "mean": said.estimate,
-        "covariance": said.covariance,
-        "ceased": said.ceased,
-    }
-    return json.dumps(fields).encode()
+    return json.dumps(
+        {
+            "step": said.step,
+            "simulation_s": said.time_s,
+            "position": said.position,
+            **({"gas": said.gas} if math.isfinite(said.gas) else {}),  # JSON knows no NaN
+            "spread": said.spread_m,
+            "mean": said.estimate,
+            "covariance": said.covariance,
+            "ceased": said.ceased,
+        }
+    ).encode()

@@ -227,8 +227,9 @@ class LiveFleet:
         self._missed_s: dict[tuple[str, str], float] = {}  # parts that may be gone, and since when
         self._crowded = False
         self._trouble = ""
-        roster = self._joined(NoRouter)
-        self._thread = threading.Thread(target=self._run, args=(roster,), name="bus", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run, args=(self._joined(NoRouter),), name="bus", daemon=True
+        )
         self._thread.start()
 
     def end(self) -> None:

@@ -21,18 +21,17 @@ class RecordedVehicle:
 
     def entry(self) -> dict[str, Any]:
         """Return its row of the list of vehicles."""
-        history = self._history
         return {
             "name": self.name,
-            "title": history.backdrop.title,
+            "title": self._history.backdrop.title,
             "here": True,
-            "has_truth": history.backdrop.release is not None,
-            "begin_s": history.begin_s,
-            "end_s": history.time_s,
-            "readings_s": history.measurements.times_s,
+            "has_truth": self._history.backdrop.release is not None,
+            "begin_s": self._history.begin_s,
+            "end_s": self._history.time_s,
+            "readings_s": self._history.measurements.times_s,
             "moments": [
-                (max(each.time_s, history.begin_s), each.level, each.who, each.text)
-                for each in history.happenings.values
+                (max(each.time_s, self._history.begin_s), each.level, each.who, each.text)
+                for each in self._history.happenings.values
             ],
         }
 

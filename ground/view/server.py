@@ -73,12 +73,13 @@ class PageServer:
 
     def app(self) -> ASGIApp:
         """Return the application."""
-        routes = [
-            Route("/", self._index),
-            WebSocketRoute("/scenes", self._scenes),
-            Mount("/static", StaticFiles(directory=PAGE, check_dir=False)),
-        ]
-        app = Starlette(routes=routes)
+        app = Starlette(
+            routes=[
+                Route("/", self._index),
+                WebSocketRoute("/scenes", self._scenes),
+                Mount("/static", StaticFiles(directory=PAGE, check_dir=False)),
+            ]
+        )
         app.router.redirect_slashes = False  # it fails on a query that is not UTF-8
         return guarded(app, self._rules)
 

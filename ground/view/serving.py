@@ -50,8 +50,7 @@ def guarded(app: ASGIApp, rules: AccessRules) -> ASGIApp:
                 await send(message)
 
         reason = _refusal(scope, rules)
-        answering = PlainTextResponse(f"refused: {reason}\n", 403) if reason else app
-        await answering(scope, receive, answer)
+        await (PlainTextResponse(f"refused: {reason}\n", 403) if reason else app)(scope, receive, answer)
 
     return checked
 

@@ -214,11 +214,14 @@ class History:
         if attachment:
             self._scatters.add(time_s, _scatter(said, attachment))
         if not said.ceased and self._budget is not None and said.step >= self._budget:
-            words = (
-                f"not ceased after {said.step} steps; estimate ({said.mean[0]:.2f}, {said.mean[1]:.2f}) "
-                f"± {said.spread:.2f} m"
+            self._ended(
+                time_s,
+                Ending(
+                    "not ceased",
+                    f"not ceased after {said.step} steps; estimate ({said.mean[0]:.2f}, {said.mean[1]:.2f}) "
+                    f"± {said.spread:.2f} m",
+                ),
             )
-            self._ended(time_s, Ending("not ceased", words))
             self._happened(time_s, WARNING, "estimator", "the budget is spent and the source not found")
         return True
 

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from ground.replay.settings import flew_a_bundle, with_bundle, words
+from ground.replay.settings import flew_a_bundle, words
 from link.record.reader import read
 from tests.golden.__main__ import GOLDEN, path
 
@@ -95,5 +95,5 @@ def test_a_flag_without_a_value_is_refused() -> None:
 def test_the_file_of_a_policy_is_the_one_that_the_user_names() -> None:
     recorded = ["--policy", "theirs.zip", "--seed", "3"]
     assert flew_a_bundle(recorded)
-    assert with_bundle(recorded, "mine.zip") == ["--seed", "3", "--policy", "mine.zip"]
+    assert words("agent", recorded, "mine.zip") == ["--seed", "3", "--policy", "mine.zip"]
     assert not flew_a_bundle(["--policy", "homing"])
