@@ -316,7 +316,9 @@ def is_exact(base: ast.expr) -> bool:
 def is_compiled(function: ast.FunctionDef) -> bool:
     """True if numba compiles the function."""
     return any(
-        word in ast.unparse(decorator) for decorator in function.decorator_list for word in ("njit", "kernel", "subroutine")
+        word in ast.unparse(decorator)
+        for decorator in function.decorator_list
+        for word in ("njit", "kernel", "subroutine")
     )
 
 
