@@ -122,8 +122,10 @@ def warning(said: Belief, config: Config) -> tuple[str, str] | None:
     """
     narrow_m = config.within[0] if config.within else config.threshold_m
     if said.p_value < INCOMPATIBLE:
-        reason = f"the readings do not fit the model (p = {said.p_value:.1g} over the last {RECENT})"
-        return reason, "is the sensor stuck, is the model right?"
+        return (
+            f"the readings do not fit the model (p = {said.p_value:.1g} over the last {RECENT})",
+            "is the sensor stuck, is the model right?",
+        )
     if said.spread < narrow_m and said.evidence < CLEAR:
         return "one value plus noise explains the readings as well as a plume does", "does the sensor hum?"
     return None

@@ -37,11 +37,8 @@ def criteria(args: argparse.Namespace) -> list[criterion.Criterion]:
     Raises ValueError with what is allowed.
     """
     if args.stop is None:
-        return [
-            *map(
-                criterion.Criterion, args.threshold if isinstance(args.threshold, list) else [args.threshold]
-            )
-        ]
+        thresholds_m = args.threshold if isinstance(args.threshold, list) else [args.threshold]
+        return [criterion.Criterion(threshold_m) for threshold_m in thresholds_m]
     texts = [args.stop] if isinstance(args.stop, str) else args.stop
     try:
         return list(dict.fromkeys(map(criterion.parse, texts)))

@@ -11,7 +11,7 @@ from plume.parameters import GAMMA, GREATEST_CV, KNOWN, LOGNORMAL, MEASURED, MOS
 from plume.randomness import standard_gamma, standard_normal
 
 SMALLEST = 1e-6  # lower bound of a positive parameter under every prior, so that it stays above 0
-MOST_DRAWS = 10_000  # of a value until one is within its support
+MOST_DRAWS = 10_000  # most draws of a value until one is within its support
 POSITIVE = ("q", "d", "tau", "wind-speed", "gain", "noise")
 NOT_NEGATIVE = ("q", "u", "d", "tau", "wind-speed", "gain", "noise", "cv")
 

@@ -85,10 +85,8 @@ class Missions:
         The time is the step: there is no clock.
         """
         step, (x, y) = int(self.steps[mission]), self.positions[mission].tolist()
-        (east, north), ((xx, xy), (_, yy)) = (
-            self.estimates[mission].tolist(),
-            self._batch.covariances[mission, :2, :2].tolist(),
-        )
+        east, north = self.estimates[mission].tolist()
+        (xx, xy), (_, yy) = self._batch.covariances[mission, :2, :2].tolist()
         gas, spread_m = float(self.facts[mission, observation.GAS]), float(self.spreads_m[mission])
         return Measurement(
             step,

@@ -144,10 +144,8 @@ def run(args: argparse.Namespace) -> int:
         refusal := cli.unwritable("--missions", [args.missions], args.force or args.resume)
     ):
         raise cli.BadInput(refusal)
-    there: list[MissionRow] = []
     try:
-        if args.resume and args.missions and args.missions.exists():
-            there = read_csv(args.missions)
+        there = read_csv(args.missions) if args.resume and args.missions and args.missions.exists() else []
     except (OSError, ValueError) as error:
         raise cli.BadInput(f"--missions: {error}") from error
     return _evaluate(there, args)
@@ -214,8 +212,12 @@ def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
 
     Where worlds differ, the key names the world too; so it is with particles, thresholds and stops.
     """
-    groups = groupby(rows, key=lambda row: (row.policy, row.world, row.particles, row.threshold_m, row.stop))
-    told = [(key[0], figures(list(group))) for key, group in groups]
+    told = [
+        (policy, figures(list(group)))
+        for (policy, *_), group in groupby(
+            rows, key=lambda row: (row.policy, row.world, row.particles, row.threshold_m, row.stop)
+        )
+    ]
     several_worlds, several_counts, several_stops = (
         len({said[key] for _, said in told}) > 1 for key in ("world", "particles", "stop")
     )

@@ -60,9 +60,8 @@ class Results:
 
     def nearest(self, wanted: Setting) -> Setting:
         """Return the setting flown that is nearest to `wanted`, first in N, then in ζ."""
-        flown = {setting for _, setting in self.rows}
         return min(
-            flown,
+            {setting for _, setting in self.rows},
             key=lambda it: (abs(it.particles - wanted.particles), abs(it.threshold_m - wanted.threshold_m)),
         )
 

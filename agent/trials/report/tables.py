@@ -59,7 +59,6 @@ def by_threshold(results: Results) -> Table:
 
 def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
     """Return our figures, one row per policy and setting."""
-    by_setting = sorted(keys, key=lambda key: key[1])  # policies stay in their order
     rows = [
         [
             str(setting.particles),
@@ -68,7 +67,7 @@ def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
             str(results.figures[policy, setting]["missions"]),
             *(cell(results.figures[policy, setting], figure) for figure in COLUMNS),
         ]
-        for policy, setting in by_setting
+        for policy, setting in sorted(keys, key=lambda key: key[1])  # policies stay in their order
     ]
     notes = [
         "In brackets: 95% intervals, Wilson's for shares and bootstrap for means. *ceased*: a stop was "
