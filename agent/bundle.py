@@ -16,6 +16,7 @@ from agent.planning.moves import Headings, Move, Reach
 from link.bus.messages import Belief, Particles
 from link.files import whole
 from plume.elementary import Array
+from plume.scenario import AREA_M
 
 FORMAT = 1
 GRAPH, PAGE = "policy.onnx", "bundle.json"
@@ -82,11 +83,13 @@ class Bundle:
             self._layers = graphs.read(data, page.observation)
         except graphs.GraphError as error:
             raise BundleError(f"{GRAPH} {error}") from error
-        gives = self.said(np.zeros(page.observation, np.float32)).shape
-        if gives != (1, page.move.outputs):
+        said = self.said(np.zeros(page.observation, np.float32))
+        if said.shape != (1, page.move.outputs):
             raise BundleError(
-                f"{GRAPH} gives arrays of {[list(gives)]}; wanted one, of [1, {page.move.outputs}]"
+                f"{GRAPH} gives arrays of {[list(said.shape)]}; wanted one, of [1, {page.move.outputs}]"
             )
+        # Moves are compiled when the first is made: now, not in flight.
+        page.move.waypoints(np.zeros((1, 2)), np.zeros((1, 3)), page.move.action(said), AREA_M)
 
     def said(self, observation: NDArray[np.float32]) -> Array:
         """Return the network's output for an observation (F,): (1, A).

@@ -18,6 +18,20 @@ def effective_sample_size(weights: Array) -> float:
 
 
 @subroutine
+def _greatest(values: Array) -> float:
+    a, b, c, d = values[0], values[0], values[0], values[0]
+    whole = len(values) - len(values) % 4
+    for i in range(0, whole, 4):
+        a = max(a, values[i])
+        b = max(b, values[i + 1])
+        c = max(c, values[i + 2])
+        d = max(d, values[i + 3])
+    for i in range(whole, len(values)):
+        a = max(a, values[i])
+    return float(max(max(a, b), max(c, d)))
+
+
+@subroutine
 def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array) -> float:
     """Set weights ∝ exp(log_weights + share · log_densities), scaled so that the greatest is 1.
 
@@ -25,9 +39,7 @@ def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array
     """
     for i in range(len(weights)):
         weights[i] = log_weights[i] + share * log_densities[i]
-    highest = weights[0]
-    for weight in weights:
-        highest = max(highest, weight)
+    highest = _greatest(weights)
     for i in range(len(weights)):
         weights[i] = exp(weights[i] - highest)
     return effective_sample_size(weights)
