@@ -26,7 +26,7 @@ from ruamel.yaml import YAML
 
 from sitl.script.script import load
 from tests.clients.installed import free_udp_port, python_of
-from tests.kernels import compile_kernels
+from tests.kernels import compile_kernels, copy_kernels
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -317,7 +317,8 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, copy / name)
     make_environment(copy)
-    compile_kernels(copy)
+    copy_kernels(ROOT, copy)
+    compile_kernels(copy)  # what no test has needed yet
     for page in PAGES:
         for block in filter(named, blocks(page)):
             (copy / folder(page)).mkdir(exist_ok=True)
