@@ -182,7 +182,7 @@ def _end_without_thread(died: threading.ExceptHookArgs) -> None:
             flush=True,
         )
     finally:
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+        threading.Thread(target=_end, name="ending", daemon=True).start()  # others may join the dead one
 
 
 def _send_again() -> None:
@@ -202,7 +202,15 @@ def _end_with_the_launcher(launcher: int) -> None:
         select.select([os.pidfd_open(launcher)], [], [])
     while os.getppid() == launcher:
         time.sleep(LOOK_S)
+    _end()
+
+
+def _end() -> None:
+    """Signal the main thread until this process ends.
+
+    One signal is not enough: where it comes just before a wait begins, the wait goes on.
+    """
     for _ in range(AGAIN_TIMES):
-        os.kill(os.getpid(), signal.SIGTERM)
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
         time.sleep(AGAIN_S)
-    os._exit(INTERRUPTED)  # it hangs
+    os._exit(1 if _lost_thread else INTERRUPTED)  # it hangs

@@ -93,3 +93,25 @@ def test_a_part_whose_thread_dies_ends_with_one_line_that_says_which_and_why(
         f"error: thread {thread!r} has died: "
         f"{'UnicodeError' if thread == 'relay' else 'RuntimeError: a fault'}"
     )
+
+
+MISSES = """
+import contextlib, threading, time
+from link import cli
+
+def fail():
+    raise RuntimeError("a fault")
+
+def command():
+    with contextlib.suppress(KeyboardInterrupt):
+        threading.Thread(target=fail, name="short").start()
+        time.sleep(600)
+    time.sleep(600)
+
+cli.run(command)
+"""
+
+
+def test_a_part_that_misses_the_first_signal_ends_with_the_next() -> None:
+    ran = subprocess.run([sys.executable, "-c", MISSES], capture_output=True, text=True, timeout=120)
+    assert (ran.returncode, len(ran.stderr.splitlines())) == (1, 1)
