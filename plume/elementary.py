@@ -17,6 +17,14 @@ LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 SQRT_HALF = 0.7071067811865476
 
 
+def float32(value: float) -> float:
+    """Round to the nearest float32, as the wire rounds positions, wind and gas.
+
+    In-process missions round the same way.
+    """
+    return float(np.float32(value))
+
+
 def _polynomial(x: Array, *coefficients: float) -> Array:
     """The polynomial with these coefficients, the highest first, at x (Horner)."""
     result = coefficients[0] * np.ones_like(x)

@@ -53,7 +53,7 @@ RELIED_ON = {
     "docs/records.md: plumeward log runs/NAME.mcap",
     "docs/records.md: plumeward draw runs/NAME.mcap",
     "docs/records.md: plumeward replay runs/NAME.mcap --verify --speedup 0",
-    "docs/physics.md: plumeward list worlds",
+    "docs/worlds.md: plumeward list worlds",
     "docs/security.md: plumeward certs certs --vehicles 1,2",
     "docs/services.md: plumeward router --listen tcp/127.0.0.1:7447",
     "docs/vehicles.md: plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11",
@@ -65,7 +65,7 @@ SHORT = {"README.md", "physics.md", "policies.md"}
 """Pages whose examples in Python `make test` runs."""
 
 INSTEAD = {
-    "make test": "make test FLAGS=tests/plume/test_world.py",
+    "make test": "make test FLAGS=tests/plume/test_geodesy.py",
     "make test-all": "make --dry-run test-all",
     "make lint": "make --dry-run lint",  # .ci/run runs it
     "make fuzz": "make --dry-run fuzz",  # tests/fuzz gives each decoder its first inputs

@@ -268,7 +268,7 @@ MAY_BE_INEXACT = {
     "estimates from them",
     "plume.sensor": "the definition of the likelihoods, with which tests and benchmarks compare the kernels; "
     "no flight calls it",
-    "plume.world": "beta draws of correlated gas, rounded to float32 with the reading",
+    "plume.worlds.world": "beta draws of correlated gas, rounded to float32 with the reading",
     "agent.learn.render": "a picture",
     "agent.learn.train": "training, which promises the same policy on the same machine only",
     "agent.trials.report.drawing": "a picture",

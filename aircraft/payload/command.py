@@ -10,7 +10,7 @@ from aircraft.payload.simulated import Simulated
 from link import cli
 from link.bus.inbox import Inbox
 from link.bus.session import Bus
-from plume.world import World
+from plume.worlds.world import World
 
 OF_THE_PLUME = ("mission", "seed", "sensor", "world")  # arguments of the simulated payload alone
 

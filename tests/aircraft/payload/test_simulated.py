@@ -10,7 +10,7 @@ from aircraft.payload.messages import Question
 from aircraft.payload.simulated import Simulated
 from plume.scenario import draw
 from plume.sensor import Gaussian
-from plume.world import World
+from plume.worlds.world import World
 
 SEED = 7
 CLEAR = Gaussian(0.0, 1e-9)

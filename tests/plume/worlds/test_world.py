@@ -7,7 +7,7 @@ from plume.dispersion import concentration
 from plume.randomness import Keyed, derived_seed, keyed
 from plume.scenario import draw
 from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, text
-from plume.world import World, gas_of
+from plume.worlds.world import World, readings_of
 
 
 def test_a_reading_does_not_depend_on_the_readings_before_it() -> None:
@@ -49,8 +49,11 @@ def test_a_reading_among_others_is_the_reading_alone_to_the_bit(sensor: Sensor) 
         World(draw(seed % 50), seed, sensor).gas((x, y), k)
         for seed, (x, y), k in zip(seeds, places.tolist(), steps, strict=True)
     ]
-    assert gas_of(worlds, places, steps, Keyed()).tolist() == alone
-    assert gas_of(worlds[::-1], places[::-1], steps[::-1], Keyed()).tolist() == alone[::-1]
+    assert readings_of(worlds, places, steps, np.zeros(len(steps)), Keyed())[0].tolist() == alone
+    assert (
+        readings_of(worlds[::-1], places[::-1], steps[::-1], np.zeros(len(steps)), Keyed())[0].tolist()
+        == alone[::-1]
+    )
     assert len(set(alone)) > 4  # not all of them read 0
 
 

@@ -1,8 +1,11 @@
 """Random numbers keyed by (seed, step, stage, stream): SplitMix64 sequences with random access."""
 
+import math
+
 import numpy as np
 
 from plume.compiled import subroutine
+from plume.numerics import direction, log
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_ONE = np.uint64(0xBF58476D1CE4E5B9)
@@ -35,3 +38,11 @@ def word_at(key: np.uint64, index: int) -> np.uint64:
 def uniform(key: np.uint64, index: int) -> float:
     """Draw number `index` of a sequence, uniform in (0, 1)."""
     return (float(word_at(key, index) >> np.uint64(12)) + 0.5) * 2.0**-52
+
+
+@subroutine
+def normals(key: np.uint64, index: int) -> tuple[float, float]:
+    """Draw a pair of N(0, 1) from numbers `index` and `index` + 1 of a sequence, by Box and Muller."""
+    radius = math.sqrt(-2.0 * log(uniform(key, index)))
+    cosine, sine = direction(uniform(key, index + 1))
+    return radius * cosine, radius * sine

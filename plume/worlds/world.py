@@ -1,36 +1,33 @@
-"""The world that one mission flies in: it knows the source, and gives a sensor's readings."""
+"""The world that one mission flies in: it knows the source, and says what instruments read."""
 
 import math
+import traceback
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from plume.dispersion import concentration
+from plume.elementary import Array, direction, float32
+from plume.flight import usual_s
 from plume.randomness import Abreast, Keyed
-from plume.scenario import Scenario
+from plume.scenario import AS_MODELLED, Scenario
 from plume.sensor import GAUSSIAN, Hits, Sensor, Threshold
-from plume.worlds import AS_MODELLED, errors
+from plume.worlds.air import Steady, WorldError, steady
+from plume.worlds.names import named
 
-
-def float32(value: float) -> float:
-    """Round to the nearest float32, as the wire rounds positions, wind and gas.
-
-    In-process missions round the same way.
-    """
-    return float(np.float32(value))
+WindVector = tuple[float, float]  # (u cos φ, u sin φ) m/s, float32: points to where it comes from
 
 
 class World:
-    """A scenario, the noise of its sensor, and how the truth differs from both.
+    """A scenario, its air, the noise of its sensor, and how the truth differs from what is told.
 
-    It answers with what an instrument would read.
+    It answers with what instruments would read.
 
-    `wind` is (u cos φ, u sin φ) in m/s and points to where the wind comes from; `start` is where the
-    search begins, (x, y) in metres.
+    `wind` is the wind as told, (u cos φ, u sin φ) in m/s, and points to where it comes from; `start` is
+    where the search begins, (x, y) in metres.
 
     Example:
         ```python
@@ -44,16 +41,17 @@ class World:
     ) -> None:
         """Take the mission's seed: the noise of reading k is keyed by (seed, k).
 
-        Raises ValueError on an unknown name.
+        Raises ValueError on a name that is none.
 
-        scenario, sensor: what the estimator is told. name: of a world in `plume.worlds`, which says how
-        the truth differs.
+        scenario, sensor: what the estimator is told. name: of a world, as `--world` takes it, which says how
+        the gas moves and how the truth differs.
         """
         self.scenario = scenario
         self.seed = seed
         self.sensor = sensor
         self.name = name
-        self.errors = wrong = errors(name, seed)
+        chosen = named(name)
+        self.errors = wrong = chosen.errors(seed)
         # The scenario as it truly is, by which missions are judged.
         self.truth = msgspec.structs.replace(
             scenario,
@@ -64,11 +62,12 @@ class World:
             d=wrong.d * scenario.d,
             tau=wrong.tau * scenario.tau,
         )
-        # (u cos φ, u sin φ) m/s, float32, as the anemometer reports it: points to where it comes from.
-        self.wind = (float32(scenario.wind[0]), float32(scenario.wind[1]))
+        self.air = chosen.air(self.truth, seed)
+        self.wind: WindVector = (float32(scenario.wind[0]), float32(scenario.wind[1]))
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
-        truth = self.truth
-        self._release = (*truth.source, truth.height, *truth.wind, truth.q, truth.d, truth.tau)
+        # What turns the true wind into the measured one, and the sensor's gain.
+        cosine, sine = direction(wrong.direction_deg / 360.0)
+        self._instruments = float(cosine), float(sine), wrong.speed, wrong.gain
         self._instrument = sensor, wrong.cv is None
         if wrong.noise != 1 and not isinstance(sensor, Hits):
             noisy = replace(
@@ -79,12 +78,21 @@ class World:
             self._instrument = noisy, wrong.cv is None
         self._strengths: list[float] = []
 
-    def gas(self, position: tuple[float, float], step: int) -> float:
+    def gas(self, position: tuple[float, float], step: int, time_s: float | None = None) -> float:
         """Take gas reading number `step` (0 at the start) at a position (x, y) m.
 
-        Returns a float32 value in the sensor's unit.
+        Returns a float32 value in the sensor's unit. time_s: of the mission; by default that of a search in
+        steps of the usual length.
         """
-        return float(gas_of([self], np.array([position]), [step], self._noise)[0])
+        return self.measure(position, step, time_s)[0]
+
+    def measure(
+        self, position: tuple[float, float], step: int, time_s: float | None = None
+    ) -> tuple[float, WindVector]:
+        """Take reading number `step`: the gas, as `gas` does, and the wind that an anemometer reads there."""
+        at_s = usual_s(step) if time_s is None else time_s
+        gas, winds = readings_of([self], np.array([position]), [step], np.array([at_s]), self._noise)
+        return gas.tolist()[0], tuple(winds[0].tolist())
 
     def loses(self, step: int) -> bool:
         """Whether reading number `step` has no value at first.
@@ -142,21 +150,25 @@ class World:
         return Keyed()
 
 
-def gas_of(
-    worlds: Sequence[World], positions: NDArray[np.float64], steps: Sequence[int], noise: Keyed
-) -> NDArray[np.float64]:
-    """Take one reading in each of M worlds at positions (M, 2) m: (M,) float32 values.
+def readings_of(
+    worlds: Sequence[World], positions: Array, steps: Sequence[int], times_s: Array, noise: Keyed
+) -> tuple[Array, Array]:
+    """Take one reading in each of M worlds: gas (M,) and measured wind (M, 2), float32 values.
 
-    `noise` is the generator to draw with.
+    positions: (M, 2) m.  times_s: (M,) of each mission.  noise: the generator to draw with.
     """
     places = np.zeros((len(worlds), 3))
     places[:, :2] = positions
-    releases = np.array([world._release for world in worlds])
-    rate, diffusivity, lifetime = releases[:, 5:].T
-    means = concentration(
-        places, releases[:, :3], releases[:, 3:5], rate=rate, diffusivity=diffusivity, lifetime=lifetime
+    there, winds = _air(worlds, places, times_s)
+    cosine, sine, speed, gain = np.array([world._instruments for world in worlds]).T
+    means = there * gain
+    winds = np.stack(
+        [
+            (cosine * winds[:, 0] + sine * winds[:, 1]) / speed,
+            (cosine * winds[:, 1] - sine * winds[:, 0]) / speed,
+        ],
+        axis=1,
     )
-    means = means * [world.errors.gain for world in worlds]
     readings = np.empty(len(worlds))
     alike: dict[tuple[Sensor, bool], list[int]] = {}
     for number, world in enumerate(worlds):
@@ -168,4 +180,39 @@ def gas_of(
     for number, (world, step) in enumerate(zip(worlds, steps, strict=True)):
         if step >= world.errors.stuck_from:
             readings[number] = world._stuck(step, noise)
-    return readings.astype(np.float32).astype(np.float64)
+    return as_float32(readings), as_float32(winds)
+
+
+def as_float32(values: Array) -> Array:
+    """Round to the nearest float32 each."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+def _air(worlds: Sequence[World], places: Array, times_s: Array) -> tuple[Array, Array]:
+    """Return the gas (M,) and the true wind (M, 2), each at one place of a world."""
+    plumes = [world.air for world in worlds if isinstance(world.air, Steady)]
+    if len(plumes) == len(worlds):
+        return steady(plumes, places)
+    gas, winds = np.empty(len(worlds)), np.empty((len(worlds), 2))
+    for i, world in enumerate(worlds):
+        gas[i], winds[i] = _asked(world, places[i : i + 1], times_s[i : i + 1])
+    return gas, winds
+
+
+def _asked(world: World, places: Array, times_s: Array) -> tuple[float, Array]:
+    """Return the gas and the true wind (2,) at one place. Raises WorldError: it may be anybody's code."""
+    try:
+        gas, winds = world.air(places, times_s)
+        amount, wind = np.asarray(gas, np.float64).reshape(()), np.asarray(winds, np.float64).reshape(2)
+    except Exception as error:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        raise WorldError(
+            f"world {world.name} failed: {type(error).__name__}: {' '.join(str(error).split())[:200]} "
+            f"({Path(where.filename).name}, line {where.lineno})"
+        ) from error
+    if not (0 <= amount < math.inf and np.isfinite(wind).all()):
+        raise WorldError(
+            f"world {world.name} said gas {amount:g} and wind {wind.tolist()}; wanted gas from 0, in g/m³, "
+            "and finite numbers"
+        )
+    return float(amount), wind
