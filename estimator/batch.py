@@ -42,7 +42,10 @@ class Batch:
         self.particles, self.weights = self._samples.particles, self._samples.weights
         self.unknowns = first.unknowns  # in the order of the particles' rows
         self._models = Model(
-            first.unknown_indices, np.empty((count, *first.prior_rows.shape)), np.empty((count, 5))
+            first.unknown_indices,
+            np.empty((count, *first.prior_rows.shape)),
+            np.empty((count, 5)),
+            np.empty((count, 1)),
         )
         self._seeds = np.empty(count, np.uint64)
         self._readings, self._ranks = np.empty((count, 64, 7)), np.empty((count, 64))
@@ -62,7 +65,8 @@ class Batch:
             )
         for stacked, array in zip(self._samples, prior(config).sample, strict=True):
             stacked[mission] = array
-        self._models.priors[mission], self._models.sensor[mission] = config.model.priors, config.model.sensor
+        for stacked, array in zip(self._models[1:], config.model[1:], strict=True):
+            stacked[mission] = array
         self.counts[mission], self._seeds[mission], self._configs[mission] = 0, config.seed, config
 
     def assimilate(self, readings: Array, missions: Indices | None = None) -> None:

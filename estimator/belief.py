@@ -96,7 +96,7 @@ def evidence(posterior: Posterior, config: Config) -> float:
     so the model check is silent; but then this is near 0 or below.
     """
     log_likelihoods = posterior.log_targets - log_priors(posterior.particles, config.model)
-    of_one_value = log_likelihood_of_one_value(posterior.readings, config.model.sensor)
+    of_one_value = log_likelihood_of_one_value(posterior.readings, config.model.sensor, config.spikes)
     return weighted_mean(posterior.weights, log_likelihoods) - of_one_value
 
 

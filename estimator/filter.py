@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from estimator.assumptions import effective_priors
+from estimator.assumptions import SPIKES, effective_priors
 from estimator.criterion import Criterion
 from estimator.kernels.densities import Model, log_priors
 from estimator.kernels.update import WeightedSample, update
@@ -112,12 +112,17 @@ class Config:
     @cached_property
     def model(self) -> Model:
         """Unknowns, priors and sensor as the kernels take them."""
-        return Model(self.unknown_indices, self.prior_rows, sensor_row(self.sensor))
+        return Model(self.unknown_indices, self.prior_rows, sensor_row(self.sensor), np.array([self.spikes]))
 
     @cached_property
     def sensor_text(self) -> str:
         """The sensor in the form of the flag --sensor."""
         return text(self.sensor)
+
+    @property
+    def spikes(self) -> float:
+        """Share of the readings that say nothing of the source."""
+        return SPIKES[self.assume]
 
     @property
     def intermittent(self) -> bool:

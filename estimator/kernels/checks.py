@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from estimator.kernels.densities import Model, is_intermittent, normal_cdf
+from estimator.kernels.spikes import spike_density, spike_rank
 from plume.compiled import kernel, subroutine
 from plume.elementary import Array
 from plume.intermittency import BODY, TAIL, distribution
@@ -56,7 +57,8 @@ def predictive_rank(
 ) -> float:
     """Return the rank of a reading in its predictive distribution (Dawid 1984).
 
-    It is uniform in (0, 1) if the model is right.
+    It is uniform in (0, 1) if the model is right. That of a spike is near 0 or 1, but no nearer than spikes
+    are rare.
     means, weights: (N,) of the particles before the reading.  derived: their columns of
     `plume.kernels.derive`, or empty.
     chance: a uniform draw in (0, 1) that breaks ties of discrete readings.
@@ -90,18 +92,14 @@ def predictive_rank(
                 tails[i] *= chance
         share += shares[i] * tails[i]
         total += shares[i]
-    return share / total
+    rank, spikes = share / total, model.spikes[0]
+    return rank + spikes * (spike_rank(gas, sensor, chance) - rank) if spikes > 0 else rank
 
 
-@kernel("float64(float64[:, ::1], float64[::1])")
-def log_likelihood_of_one_value(readings: Array, sensor: Array) -> float:
-    """Greatest log-likelihood of readings (T, 7) by a sensor that shows one value plus noise.
-
-    For hits: by one that counts with one mean. A threshold sensor shows 0 with one probability, and else
-    one value plus noise.
-    """
-    gas, result = readings[:, 5].copy(), 0.0
-    count = len(gas)
+@subroutine
+def _of_one_value(gas: Array, sensor: Array) -> float:
+    """Greatest log-likelihood of gas values (T,) by a sensor that shows one value plus noise, no spikes."""
+    count, result = len(gas), 0.0
     if sensor[0] == HITS_KIND:
         mean = max(total_of(gas) / count, 1e-300)
         for k in gas:
@@ -115,6 +113,32 @@ def log_likelihood_of_one_value(readings: Array, sensor: Array) -> float:
         offsets = gas - total_of(gas) / len(gas)
         std = max(math.sqrt(dot(offsets, offsets) / len(gas)), 1e-3)
         result -= len(gas) * (log(std) + HALF_LOG_2PI + 0.5)
+    return result
+
+
+@kernel("float64(float64[:, ::1], float64[::1], float64)")
+def log_likelihood_of_one_value(readings: Array, sensor: Array, spikes: float) -> float:
+    """Greatest log-likelihood of readings (T, 7) by a sensor that shows one value plus noise.
+
+    For hits: by one that counts with one mean. A threshold sensor shows 0 with one probability, and else
+    one value plus noise. If a share of the readings are spikes, any of those farthest from the others are
+    taken for spikes, up to half.
+    """
+    gas = readings[:, 5].copy()
+    result = _of_one_value(gas, sensor)
+    if spikes == 0:
+        return result
+    ordered, low, high, of_spikes, kept = np.sort(gas), 0, len(gas), 0.0, log1p(-spikes)
+    result += len(gas) * kept
+    for _ in range(len(gas) // 2):
+        middle = total_of(ordered[low:high]) / (high - low)
+        if ordered[high - 1] - middle > middle - ordered[low]:
+            high -= 1
+            of_spikes += log(spikes * spike_density(ordered[high], sensor))
+        else:
+            of_spikes += log(spikes * spike_density(ordered[low], sensor))
+            low += 1
+        result = max(result, of_spikes + (high - low) * kept + _of_one_value(ordered[low:high], sensor))
     return result
 
 

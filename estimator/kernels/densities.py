@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from estimator.kernels.spikes import spike_density
 from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
@@ -39,10 +40,11 @@ class Model(NamedTuple):
     unknowns: Indices  # (D,) indices into `plume.parameters.PARAMETERS`
     priors: Array  # (13, 5): kind, two numbers, and the support's ends of each parameter
     sensor: Array  # (5,): kind and numbers
+    spikes: Array  # (1,): share of the readings that say nothing of the source
 
 
 tuple_type: Any = numba.types.NamedTuple
-MODEL = tuple_type((numba.int64[::1], numba.float64[:, ::1], numba.float64[::1]), Model)
+MODEL = tuple_type((numba.int64[::1], numba.float64[:, ::1], numba.float64[::1], numba.float64[::1]), Model)
 
 
 @subroutine
@@ -55,6 +57,7 @@ def is_intermittent(priors: Array) -> bool:
 def log_densities(means: Array, derived: Array, count: int, gas: float, model: Model, result: Array) -> None:
     """Fill `result` with the log-likelihood of a gas value for each mean, as plume/sensor.py defines it.
 
+    A share of the readings are spikes: the likelihood is that of a mixture.
     derived: as of `reading_densities`, for the noise and the gas's intermittency where they are unknown.
     """
     sensor = model.sensor
@@ -85,6 +88,11 @@ def log_densities(means: Array, derived: Array, count: int, gas: float, model: M
                 variance *= derived[NOISES, i]
             residual = gas - means[i]
             result[i] = -0.5 * (residual * residual / variance + log(variance)) - constant
+    spikes = model.spikes[0]
+    if spikes > 0:
+        kept, spike = 1 - spikes, spikes * spike_density(gas, sensor)
+        for i in range(count):
+            result[i] = log(kept * exp(result[i]) + spike)
 
 
 @subroutine
@@ -115,10 +123,11 @@ def reading_densities(
 def is_fused(readings: Array, model: Model) -> bool:
     """True if `add_place_densities` applies.
 
-    It does in the paper's case with a Gaussian sensor, for numbers whose products stay in range.
+    It does in the paper's case with a Gaussian sensor without spikes, for numbers whose products stay in
+    range.
     """
     priors, sensor = model.priors, model.sensor
-    if sensor[0] != GAUSSIAN_KIND or not is_location_only(model.unknowns, priors):
+    if sensor[0] != GAUSSIAN_KIND or model.spikes[0] > 0 or not is_location_only(model.unknowns, priors):
         return False
     scale = priors[Q, 1] / (4 * math.pi * priors[D, 1])
     sound: bool = sensor[2] > 1e-12 and (1 + sensor[1] + sensor[2]) * (1 + scale) < 1e10
@@ -174,11 +183,23 @@ def is_a_normal_density(gas: float, sensor: Array) -> bool:
 
 
 @subroutine
-def greatest_log_density(gas: float, sensor: Array, priors: Array) -> float:
-    """Return an upper bound of the log-likelihood of a gas value, whatever the mean, for a noise factor of 1.
+def greatest_log_density(gas: float, model: Model) -> tuple[float, float]:
+    """Return (a, r) of an upper bound of the log-likelihood of a gas value: a + log(1/f + r).
 
-    If the gas is steady and the noise known, the bound falls with the reading: a strong reading needs a
-    large mean, and a large mean has much noise.
+    It holds whatever the mean. f is the factor on the noise; where the value has a probability, 1. Without
+    spikes r is 0, and a density falls as 1/f. That of spikes does not: it is r times the rest's at f = 1.
+    """
+    greatest, spikes = _greatest_without_spikes(gas, model.sensor, model.priors), model.spikes[0]
+    kept = greatest + log1p(-spikes)
+    return kept, spikes * spike_density(gas, model.sensor) * exp(-kept)
+
+
+@subroutine
+def _greatest_without_spikes(gas: float, sensor: Array, priors: Array) -> float:
+    """Return the bound of readings that are no spikes, for noise of a factor of 1.
+
+    If the gas is steady and the noise known, it falls with the reading: a strong reading needs a large mean,
+    and a large mean has much noise.
     """
     if sensor[0] == HITS_KIND:
         return gas * log(gas) - gas - log_gamma(gas + 1.0) + 1e-9 if gas > 0 else 0.0

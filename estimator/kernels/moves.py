@@ -22,7 +22,7 @@ from plume.compiled import kernel, subroutine
 from plume.draws import key_of, uniform, word_at
 from plume.elementary import Array, Indices
 from plume.kernels import NOISES, derive, is_plain
-from plume.numerics import direction, dot, exp, log, total_of
+from plume.numerics import direction, dot, exp, log, log1p, total_of
 from plume.parameters import LOGNORMAL, PHI, Y
 
 EVERYTHING, PLACE, REST = 0, 1, 2  # what a proposal changes: all unknowns, those of the place, or the others
@@ -138,12 +138,18 @@ def _refuse_outside(proposals: Array, model: Model, needed: Array) -> None:
 
 @subroutine
 def _bounds(readings: Array, model: Model) -> Array:
-    """Return (2, T): of all readings before each, the greatest log-likelihood and the sum of noisy shares."""
-    bounds = np.zeros((2, len(readings)))
+    """Return (3, T), numbers (a, b, r) of all readings before each.
+
+    Their log-likelihood is at most a + b · log(1/f + r), whatever the means; f is the factor on the noise.
+    """
+    bounds, plain = np.zeros((3, len(readings))), is_plain(model.priors)
     for t in range(len(readings) - 1):
         gas, share = readings[t, 5], readings[t, 6]
-        bounds[0, t + 1] = bounds[0, t] + share * greatest_log_density(gas, model.sensor, model.priors)
-        bounds[1, t + 1] = bounds[1, t] + share * is_a_normal_density(gas, model.sensor)
+        greatest, spike = greatest_log_density(gas, model)
+        falls = is_a_normal_density(gas, model.sensor) and not plain
+        bounds[0, t + 1] = bounds[0, t] + share * (greatest if falls else greatest + log1p(spike))
+        bounds[1, t + 1] = bounds[1, t] + share * falls
+        bounds[2, t + 1] = max(bounds[2, t], spike) if falls else bounds[2, t]
     return bounds
 
 
@@ -178,7 +184,7 @@ def _judge(block: Block, alive: int, readings: Array, bounds: Array, model: Mode
     possible likelihood of the remaining readings (`_bounds`). This changes no decision.
     """
     particles, derived, targets, needed, _, scratch = block
-    means, densities, log_noises, possible = scratch[0], scratch[1], scratch[2], scratch[3]
+    means, densities, log_factors, possible = scratch[0], scratch[1], scratch[2], scratch[3]
     plain = is_plain(model.priors)
     last = len(readings) - 1
     back = next_check = 0
@@ -198,9 +204,9 @@ def _judge(block: Block, alive: int, readings: Array, bounds: Array, model: Mode
             next_check = 2 * back - 1
             if not plain:
                 for j in range(alive):
-                    log_noises[j] = log(derived[NOISES, j])
+                    log_factors[j] = log(1 / math.sqrt(derived[NOISES, j]) + bounds[2, t])
             for j in range(alive):
-                possible[j] = targets[j] + bounds[0, t] - 0.5 * bounds[1, t] * log_noises[j] - needed[j]
+                possible[j] = targets[j] + bounds[0, t] + bounds[1, t] * log_factors[j] - needed[j]
             alive = _keep_possible(block, alive, possible)
     return alive
 

@@ -33,7 +33,7 @@ class WeightedSample(NamedTuple):
 ROW, TABLE, STACK = numba.float64[::1], numba.float64[:, ::1], numba.float64[:, :, ::1]
 SAMPLE = tuple_type((TABLE, ROW, ROW, ROW), WeightedSample)
 SAMPLES = tuple_type((STACK, TABLE, TABLE, TABLE), WeightedSample)
-MODELS = tuple_type((numba.int64[::1], STACK, TABLE), Model)
+MODELS = tuple_type((numba.int64[::1], STACK, TABLE, TABLE), Model)
 
 
 @subroutine
@@ -115,8 +115,8 @@ def update_missions(
     Arrays are as in `update`, stacked, but for the unknowns, which all share.
     """
     particles, log_weights, weights, log_targets = samples
-    unknowns, priors, sensors = models
+    unknowns, priors, sensors, spikes = models
     for b in missions:
         sample = WeightedSample(particles[b], log_weights[b], weights[b], log_targets[b])
-        model, count = Model(unknowns, priors[b], sensors[b]), counts[b]
+        model, count = Model(unknowns, priors[b], sensors[b], spikes[b]), counts[b]
         ranks[b, count - 1] = update(sample, readings[b, :count], model, seeds[b], sweeps)

@@ -10,6 +10,9 @@ from plume.elementary import exp, log
 from plume.randomness import keyed, uniform
 from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
 
+SPIKED_READINGS = 30  # spikes are among so many first readings: most searches take as many
+SPIKES = 0.5, 100.0  # their least and greatest size, g/m³ or hits
+
 
 class Errors(NamedTuple):
     """The truth of one mission against what its estimator assumes. A factor is true value / assumed value."""
@@ -34,6 +37,9 @@ class Errors(NamedTuple):
     stuck_from: float = math.inf
     stuck_at: float = 0.0  # g/m³
     stuck_std: float = 0.0  # g/m³
+    # False readings, which last one reading each: the number of the reading, and the amount that it is too
+    # high by, g/m³ or hits. Nothing shows of them in a stuck sensor.
+    spikes: tuple[tuple[int, float], ...] = ()
 
 
 FACTORS = frozenset({"speed", "q", "d", "tau", "gain", "noise"})  # errors that multiply
@@ -74,6 +80,14 @@ def all_at_once(seed: int) -> Errors:
 def stuck(seed: int) -> Errors:
     """Draw the value that the sensor repeats from reading 10 on: uniform from 0 to 3 g/m³."""
     return Errors(stuck_from=10, stuck_at=3.0 * keyed(seed, "stuck").random())
+
+
+def spikes(seed: int, count: int) -> Errors:
+    """Draw so many spikes: of the readings 0 to 29, no one twice, and sizes from 0.5 to 100, log-uniform."""
+    rng = keyed(seed, "spikes")
+    numbers = np.argsort(rng.random(SPIKED_READINGS), kind="stable")[:count].tolist()
+    sizes = exp(uniform(rng, np.full(count, log(SPIKES[0])), log(SPIKES[1]))).tolist()
+    return Errors(spikes=tuple(zip(numbers, sizes, strict=True)))
 
 
 # The wrong assumptions, by name.
@@ -120,6 +134,11 @@ WRONG: dict[str, Wrong] = {
     "source-outside": Wrong(
         "the source is outside the square [10, 25]²", lambda seed: Errors(source=outside(seed))
     ),
+    "spike": Wrong(
+        "one false reading among the first 30, too high by 0.5 to 100 g/m³ or hits",
+        lambda seed: spikes(seed, 1),
+    ),
+    "spikes-3": Wrong("as spike, with three false readings", lambda seed: spikes(seed, 3)),
     "stuck": Wrong("the sensor repeats one value, from 0 to 3 g/m³, from reading 10 on", stuck),
     "stuck-noisy": Wrong(
         "the sensor reads 1 ± 0.2 g/m³ everywhere",

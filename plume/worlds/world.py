@@ -132,12 +132,17 @@ class World:
         return self._strengths[step]
 
     def _stuck(self, step: int, noise: Keyed) -> float:
-        """The reading of a stuck sensor, one that it could give.
+        """The reading of a stuck sensor."""
+        wrong = self.errors
+        return self._shown(
+            wrong.stuck_at + wrong.stuck_std * noise.at(self.seed, "stuck", step).standard_normal()
+        )
+
+    def _shown(self, value: float) -> float:
+        """What the sensor shows for a false value, one that it could give.
 
         A count is whole, and below its threshold a sensor reads 0.
         """
-        wrong = self.errors
-        value = wrong.stuck_at + wrong.stuck_std * noise.at(self.seed, "stuck", step).standard_normal()
         match self.sensor:
             case Hits():
                 return max(round(value), 0)
@@ -178,6 +183,9 @@ def readings_of(
         gas = None if gas_as_told else means[those] * [worlds[i]._strength(steps[i], noise) for i in those]
         readings[those] = sensor.measure(means[those], draws, gas)
     for number, (world, step) in enumerate(zip(worlds, steps, strict=True)):
+        for spiked, amount in world.errors.spikes:
+            if step == spiked:
+                readings[number] = world._shown(readings[number] + amount)
         if step >= world.errors.stuck_from:
             readings[number] = world._stuck(step, noise)
     return as_float32(readings), as_float32(winds)
