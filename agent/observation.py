@@ -31,7 +31,7 @@ from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices, direction
 from plume.numerics import exp, log, log1p, total_of
 from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
-from plume.sensor import GAUSSIAN
+from plume.sensors.names import GAUSSIAN
 
 Observation = NDArray[np.float32]
 # (3,): direction (cos, sin) of the observation's x axis in the world; 1, or −1 if its y axis is mirrored.

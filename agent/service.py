@@ -16,7 +16,7 @@ from link.bus.messages import Belief, Health, Particles, unpack_particles
 from link.bus.session import Arrival, Bus
 from plume.elementary import float32
 from plume.parameters import MOST, PARAMETERS
-from plume.sensor import parse
+from plume.sensors.names import parse
 
 
 def waypoints(text: str, within: Reach) -> dict[int, tuple[float, float]]:

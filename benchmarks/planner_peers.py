@@ -19,7 +19,8 @@ from agent.planning.moves import Reach
 from link.bus.messages import Belief, Particles
 from plume.dispersion import concentration
 from plume.randomness import keyed
-from plume.sensor import Gaussian, parse
+from plume.sensors.names import parse
+from plume.sensors.sensor import Gaussian
 
 Array = NDArray[np.float64]
 Scores = Callable[[Belief, Particles, Reach, np.random.Generator], Array]

@@ -9,7 +9,8 @@ from link.bus.mavlink import Reading, elapsed_ms
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import exp
 from plume.parameters import GREATEST_CV, PARAMETERS
-from plume.sensor import Hits, Sensor
+from plume.sensors.names import Sensor
+from plume.sensors.sensor import Hits
 
 # No instrument has measured more outside of tornadoes: 113 m/s on Barrow Island (WMO, 1996).
 STRONGEST_WIND_MPS = 120.0

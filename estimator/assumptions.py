@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 from estimator.priors import Fixed, LogNormal, Normal, Prior
 from plume.parameters import PARAMETERS
-from plume.sensor import Gaussian, Hits, Sensor
+from plume.sensors.names import Sensor, fluctuates
+from plume.sensors.sensor import Hits
 
 # The assumptions, and one line about each.
 ASSUMPTIONS: Mapping[str, str] = {
@@ -45,8 +46,8 @@ def effective_priors(
     """Return the priors of an assumption by name of `PARAMETERS`, each replaced by a given one.
 
     `rate` (g/s) and `lifetime` (s) are what the estimator is told. A given prior of u or phi also removes
-    the assumption's prior of the measured wind speed or direction. Intermittency is modelled for the
-    Gaussian sensor only, and noise has a factor for all but hits, whose noise is Poisson's.
+    the assumption's prior of the measured wind speed or direction. Intermittency is modelled for sensors
+    that read the gas itself, and noise has a factor for all but hits, whose noise is Poisson's.
 
     Raises:
         ValueError: There is no such assumption or parameter, or two given priors exclude each other, or
@@ -65,7 +66,7 @@ def effective_priors(
         }
         if not isinstance(sensor, Hits):
             priors["noise"] = LogNormal(1.0, NOISE_SIGMA)
-        if isinstance(sensor, Gaussian):
+        if fluctuates(sensor):
             priors["cv"] = Normal(0.0, CV_STD)
     for absolute, relative in REPLACED.items():
         if absolute in given:
@@ -88,10 +89,10 @@ def _check(given: Mapping[str, Prior], sensor: Sensor) -> None:
             "a prior of noise is not allowed with the hits sensor, whose noise is Poisson's; wanted gaussian "
             "or threshold"
         )
-    if "cv" in given and not isinstance(sensor, Gaussian):
+    if "cv" in given and not fluctuates(sensor):
         raise ValueError(
             "a prior of cv is not allowed with this sensor, for which intermittency is not modelled; wanted "
-            "gaussian"
+            "gaussian, pid or tdlas"
         )
 
 

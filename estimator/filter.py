@@ -19,7 +19,8 @@ from plume.elementary import Array, Indices
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import keyed
 from plume.scenario import AREA_M, LIFETIME_S
-from plume.sensor import GAUSSIAN, Gaussian, Sensor, sensor_row, text
+from plume.sensors.names import GAUSSIAN, Sensor, sensor_row, text
+from plume.sensors.sensor import Gaussian
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Config:
         if not isinstance(self.sensor, Sensor):
             raise TypeError(
                 f"sensor {self.sensor!r} is not allowed; wanted a sensor, such as "
-                "plume.sensor.parse('hits:3,0.1')"
+                "plume.sensors.names.parse('hits:3,0.1')"
             )
         for name, given in self.priors.items():
             if not isinstance(given, Prior):

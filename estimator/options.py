@@ -10,10 +10,10 @@ from estimator import criterion
 from estimator.assumptions import effective_priors, unknowns
 from estimator.priors import Fixed, Prior, draw, parse, table
 from link import cli
-from plume import sensor
 from plume.parameters import PARAMETERS
 from plume.randomness import keyed
 from plume.scenario import AREA_M
+from plume.sensors import names as sensor
 
 TRIED = 1000  # values that are drawn of a prior before it is taken: a service then need not refuse it
 

@@ -46,6 +46,22 @@ def leg_s(
     return profile(length_m, speed_mps, accel_mps2).duration_s
 
 
+def travelled(start: ArrayLike, end: ArrayLike, time_s: Array) -> Array:
+    """Return which share of a level leg between places (2,) m is behind the vehicle at times (M,) s: (M,)."""
+    offset = np.asarray(end, np.float64) - np.asarray(start, np.float64)
+    length_m = float(np.sqrt(offset[0] * offset[0] + offset[1] * offset[1]))
+    peak, ramp_s, ramp_m, _ = leg = profile(length_m)
+    left_s = leg.duration_s - time_s
+    cruising_m = ramp_m + peak * (time_s - ramp_s)
+    slowing_m = length_m - 0.5 * ACCEL_MPS2 * left_s * left_s
+    there_m = np.where(
+        time_s < ramp_s,
+        0.5 * ACCEL_MPS2 * time_s * time_s,
+        np.where(left_s < ramp_s, slowing_m, cruising_m),
+    )
+    return np.asarray(np.clip(there_m / max(length_m, SLOWEST_MPS), 0.0, 1.0))
+
+
 def usual_s(step: int) -> float:
     """Mission time of a reading where all steps are of the usual length."""
     return step * float(profile(STEP_M).duration_s)

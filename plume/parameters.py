@@ -30,6 +30,15 @@ NEUTRAL = {"wind-direction": 0.0, "wind-speed": 1.0, "gain": 1.0, "noise": 1.0}
 # Kinds of knowledge about a parameter: known value, family of its prior, or measured with each reading
 # (wind).
 KNOWN, UNIFORM, NORMAL, GAMMA, MEASURED, LOGNORMAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
+# A sensor as compiled loops take it is a row, which `plume.sensors.names.sensor_row` fills in: its kind; α or
+# e; β or b; threshold; p_m.
+GAUSSIAN_KIND, THRESHOLD_KIND, HITS_KIND = 0.0, 1.0, 2.0
+KIND, SLOPE, FLOOR, THRESHOLD, MISSED = range(5)
+# Of an instrument: time constants of rise and decay, s, 0 if it follows at once; s that it hovers for a
+# reading; the greatest reading; RS/R0 = A c^B up to that of clean air, which is 0 if it reads the gas itself;
+# length of the ray that it looks along, m, 0 if it meets the gas where it is.
+RISE, DECAY, DWELL, SATURATION, CLEAN, FACTOR, POWER, RAY = range(5, 13)
+SENSOR_NUMBERS = 13
 GREATEST_CV = 3.0  # the strongest intermittency that the sensor model covers
 # Least and greatest value of a release's parameters that may be given: far beyond any leak, and no arithmetic
 # overflows between them.

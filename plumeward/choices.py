@@ -1,13 +1,12 @@
 """`plumeward list`: the missions, policies, sensors, assumptions and worlds to choose from."""
 
 import argparse
-import dataclasses
 import textwrap
 from collections.abc import Callable, Mapping
 
 from agent.policies import policies
 from estimator.assumptions import ASSUMPTIONS
-from plume.sensor import KINDS
+from plume.sensors.names import KINDS, numbers
 from plume.worlds.names import worlds
 from sitl.script.script import load, shipped
 
@@ -15,16 +14,18 @@ SENSORS = {
     "gaussian": "a concentration with Gaussian noise, g/m³",
     "threshold": "a concentration that reads 0 below a threshold or when missed, g/m³",
     "hits": "a Poisson count of hits",
+    "pid": "a photoionisation detector, g/m³",
+    "tgs2600": "a metal oxide, resistance by that in clean air",
+    "tgs2611": "a metal oxide, resistance by that in clean air",
+    "tgs2620": "a metal oxide, resistance by that in clean air",
+    "tdlas": "an open path: the gas along a ray downwards, g/m²",
 }
 
 
 def _sensors() -> dict[str, str]:
-    fields = {name: dataclasses.fields(kind) for name, kind in KINDS.items()}
     return {
-        f"{name}:{','.join(f'{field.default:g}' for field in numbers)}": (
-            f"{SENSORS[name]}; its numbers: {', '.join(field.name for field in numbers)}"
-        )
-        for name, numbers in fields.items()
+        name: f"{SENSORS[name]}: " + ", ".join(f"{key}={value:g}" for key, value in numbers(sensor).items())
+        for name, sensor in KINDS.items()
     }
 
 
@@ -32,7 +33,7 @@ def _sensors() -> dict[str, str]:
 LISTS: dict[str, tuple[str, Callable[[], Mapping[str, str]]]] = {
     "missions": ("plumeward fly MISSION", lambda: {name: load(name).about for name in shipped()}),
     "policies": ("--policy NAME", policies),
-    "sensors": ("--sensor KIND or KIND:NUMBERS", _sensors),
+    "sensors": ("--sensor KIND or KIND:NUMBER,NAME=NUMBER", _sensors),
     "assumptions": ("--assume NAME", lambda: ASSUMPTIONS),
     "worlds": ("--world NAME or NAME:PARAMETERS, several with + between them", worlds),
 }

@@ -266,7 +266,7 @@ SAMPLERS = {"uniform", "normal", "gamma", "beta", "lognormal", "exponential"}
 MAY_BE_INEXACT = {
     "plume.geodesy": "latitude and longitude for ground stations, rounded to 1e-7° on the wire; nothing "
     "estimates from them",
-    "plume.sensor": "the definition of the likelihoods, with which tests and benchmarks compare the kernels; "
+    "plume.sensors.sensor": "the definition of the likelihoods, with which tests and benchmarks compare the kernels; "
     "no flight calls it",
     "plume.worlds.world": "beta draws of correlated gas, rounded to float32 with the reading",
     "agent.learn.render": "a picture",

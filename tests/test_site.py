@@ -29,7 +29,7 @@ MODULES = {
     "api/index": [f"plumeward.{name}" for name in plumeward.__all__ if name != "__version__"],
     "api/physics": (
         "plume.dispersion.concentration",
-        "plume.sensor.Gaussian.log_likelihood",
+        "plume.sensors.sensor.Gaussian.log_likelihood",
         "plume.scenario.Scenario.tau",
     ),
     "api/estimator": (

@@ -5,7 +5,7 @@ import numpy as np
 from agent.planning.moves import Reach
 from agent.planning.predict import cloud, imagine
 from link.bus.messages import Belief, Particles
-from plume.sensor import parse
+from plume.sensors.names import parse
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 from plume.compiled import kernel, subroutine
 from plume.elementary import Array, Indices
 from plume.numerics import HALF_LOG_2PI, direction, erfc, exp, fma, log, log1p, total_of
-from plume.sensor import HITS_KIND, THRESHOLD_KIND
+from plume.parameters import HITS_KIND, THRESHOLD_KIND
 
 # Particles per block; the intermediate arrays of a block stay in the processor's first-level cache.
 BLOCK = 1024
@@ -136,7 +136,7 @@ def imagine(
     values: (A, L, F, N) values of each particle at each place, or (1, 1, F, N) if they are the same at all
     places.
     imagined: (K,) the particles from which the readings were drawn.  readings: (A, L, K).  sensor: (5,) as
-    of `plume.sensor.sensor_row`.
+    of `plume.sensors.names.sensor_row`.
     noises: (2, N) each particle's factor on the sensor's noise, and its intermittency (cv) of the gas.
 
     Results at a place include all readings on the path up to it. Returns the log predictive density of

@@ -14,7 +14,8 @@ from plume.kernels import mean_concentrations
 from plume.numerics import exp_each, log_each
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import standard_gamma
-from plume.sensor import Gaussian, Sensor, parse, sensor_row
+from plume.sensors.names import Sensor, parse, sensor_row
+from plume.sensors.sensor import Gaussian
 
 CELLS_A_SPREAD = 4  # cells per spread in `entropy_spread`
 # Most cells of a grid that is counted in whole; cells beyond ±FAR count as those at ±FAR.

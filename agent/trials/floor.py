@@ -14,7 +14,7 @@ from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array
 from plume.numerics import angle_of, cosine_and_sine, exp
 from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario
-from plume.sensor import GAUSSIAN
+from plume.sensors.names import GAUSSIAN
 
 LEAST_THRESHOLD_M = 0.03  # below this ζ the computation takes long, and the floor may exceed the budget
 # α² and β²: the variance of a reading is SLOPE m² + FLOOR.

@@ -30,7 +30,7 @@ from estimator.priors import text as prior_text
 from link.bus.messages import Belief
 from plume import __version__
 from plume.scenario import AS_MODELLED, BUDGET_STEPS, STEP_M, SUCCESS_RADIUS_M
-from plume.sensor import GAUSSIAN, text
+from plume.sensors.names import GAUSSIAN, text
 
 PACKAGES = ("plume", "link", "scene", "estimator", "agent")
 

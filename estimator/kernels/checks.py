@@ -11,7 +11,7 @@ from plume.elementary import Array
 from plume.intermittency import BODY, TAIL, distribution
 from plume.kernels import CVS, NOISES
 from plume.numerics import HALF_LOG_2PI, dot, exp, log, log1p, log_gamma, total_of
-from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
+from plume.parameters import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 
 # Approximate number of particles, evenly spaced, for the predictive rank of a reading; fewer in intermittent
 # gas, where each takes long.

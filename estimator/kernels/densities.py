@@ -1,4 +1,4 @@
-"""Log-likelihoods of gas values as defined in `plume/sensor.py`, and log prior densities."""
+"""Log-likelihoods of gas values as defined in `plume/sensors/sensor.py`, and log prior densities."""
 
 import math
 from typing import Any, NamedTuple
@@ -22,8 +22,20 @@ from plume.kernels import (
     location_means,
 )
 from plume.numerics import HALF_LOG_2PI, erfc, exp, log, log1p, log_gamma
-from plume.parameters import CV, GAMMA, KNOWN, LOGNORMAL, NORMAL, TAU, D, Q, Z
-from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
+from plume.parameters import (
+    CV,
+    GAMMA,
+    GAUSSIAN_KIND,
+    HITS_KIND,
+    KNOWN,
+    LOGNORMAL,
+    NORMAL,
+    TAU,
+    THRESHOLD_KIND,
+    D,
+    Q,
+    Z,
+)
 
 FUSED = 8  # readings whose densities are added together: products of 8 variances neither overflow nor vanish
 
@@ -55,7 +67,7 @@ def is_intermittent(priors: Array) -> bool:
 
 @subroutine
 def log_densities(means: Array, derived: Array, count: int, gas: float, model: Model, result: Array) -> None:
-    """Fill `result` with the log-likelihood of a gas value for each mean, as plume/sensor.py defines it.
+    """Fill `result` with the log-likelihood of a gas value for each mean, as plume/sensors/ defines it.
 
     A share of the readings are spikes: the likelihood is that of a mixture.
     derived: as of `reading_densities`, for the noise and the gas's intermittency where they are unknown.

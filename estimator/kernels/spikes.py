@@ -9,7 +9,7 @@ import math
 from plume.compiled import subroutine
 from plume.elementary import Array
 from plume.numerics import log1p
-from plume.sensor import HITS_KIND, THRESHOLD_KIND
+from plume.parameters import HITS_KIND, THRESHOLD_KIND
 
 LOG_RANGE = math.log(1e6)
 

@@ -17,10 +17,10 @@ from ground.replay.source import Source, find
 from ground.replay.verify import Rules
 from link import cli
 from link.terminal import tell
-from plume import sensor
 from plume.outcome import assumed_text
 from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
+from plume.sensors import names as sensor
 from sitl.launch.processes import MissionFailed
 
 

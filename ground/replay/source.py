@@ -17,8 +17,8 @@ from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.cli import BadInput
 from link.record.reader import RecordError, is_record, read
 from link.record.record import Entry
-from plume import sensor
 from plume.scenario import AS_MODELLED
+from plume.sensors import names as sensor
 from sitl.script import script
 
 # The keys that a vehicle publishes on, by their names in a log.

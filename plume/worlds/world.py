@@ -4,7 +4,7 @@ import math
 import traceback
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import msgspec
@@ -14,10 +14,14 @@ from plume.elementary import Array, direction, float32
 from plume.flight import usual_s
 from plume.randomness import Abreast, Keyed
 from plume.scenario import AS_MODELLED, Scenario
-from plume.sensor import GAUSSIAN, Hits, Sensor, Threshold
+from plume.sensors.instruments import Instrument
+from plume.sensors.names import GAUSSIAN, Sensor
+from plume.sensors.sensor import Hits, Threshold
 from plume.worlds.air import Steady, WorldError, steady
+from plume.worlds.exposure import Before, is_timed, met
 from plume.worlds.names import named
 
+HOUR_S = 3600.0
 WindVector = tuple[float, float]  # (u cos φ, u sin φ) m/s, float32: points to where it comes from
 
 
@@ -68,14 +72,17 @@ class World:
         # What turns the true wind into the measured one, and the sensor's gain.
         cosine, sine = direction(wrong.direction_deg / 360.0)
         self._instruments = float(cosine), float(sine), wrong.speed, wrong.gain
-        self._instrument = sensor, wrong.cv is None
+        # Of an instrument, gas that fluctuates is drawn before its element follows it.
+        self._cv = sensor.cv if wrong.cv is None and isinstance(sensor, Instrument) else wrong.cv
+        as_told = wrong.cv is None or isinstance(sensor, Instrument)
+        self._instrument = sensor, as_told
         if wrong.noise != 1 and not isinstance(sensor, Hits):
             noisy = replace(
                 sensor,
                 sensor_noise=wrong.noise * sensor.sensor_noise,
                 environment_noise=wrong.noise * sensor.environment_noise,
             )
-            self._instrument = noisy, wrong.cv is None
+            self._instrument = noisy, as_told
         self._strengths: list[float] = []
 
     def gas(self, position: tuple[float, float], step: int, time_s: float | None = None) -> float:
@@ -87,12 +94,32 @@ class World:
         return self.measure(position, step, time_s)[0]
 
     def measure(
-        self, position: tuple[float, float], step: int, time_s: float | None = None
+        self,
+        position: tuple[float, float],
+        step: int,
+        time_s: float | None = None,
+        before: Before | None = None,
     ) -> tuple[float, WindVector]:
-        """Take reading number `step`: the gas, as `gas` does, and the wind that an anemometer reads there."""
-        at_s = usual_s(step) if time_s is None else time_s
-        gas, winds = readings_of([self], np.array([position]), [step], np.array([at_s]), self._noise)
+        """Take reading number `step`: the gas, as `gas` does, and the wind that an anemometer reads there.
+
+        before: the reading before, for a sensor that lags; without one it has been in clean air.
+        """
+        usual = usual_s(step) + (step + 1) * self.sensor.dwell
+        at_s, noise = usual if time_s is None else time_s, self._noise
+        places, times_s = np.array([[*position, 0.0]]), np.array([at_s])
+        if is_timed(self.sensor):
+            strength = self._strength(step, noise) if isinstance(self.sensor, Instrument) else 1.0
+            instruments, air = np.array([self._instruments]).T, partial(_asked, self)
+            exposed = met(air, self.sensor, strength * self._instruments[3], position, at_s, before)
+            winds = air(places, times_s)[1]
+            gas, winds = _read([self], np.array([exposed]), winds, instruments, [step], times_s, noise)
+        else:
+            gas, winds = readings_of([self], places[:, :2], [step], times_s, noise)
         return gas.tolist()[0], tuple(winds[0].tolist())
+
+    def warms_up(self, time_s: float) -> bool:
+        """Whether the sensor has no value yet at this time of the mission."""
+        return isinstance(self.sensor, Instrument) and time_s < self.sensor.warmup
 
     def loses(self, step: int) -> bool:
         """Whether reading number `step` has no value at first.
@@ -113,7 +140,7 @@ class World:
         X_n = B_n X_(n−1) + G_n with B ~ Beta(k ρ, k (1 − ρ)), G ~ Gamma(k (1 − ρ)) and k = 1/cv² has the
         autocorrelation ρ^lag.
         """
-        cv, correlation = self.errors.cv, self.errors.correlation
+        cv, correlation = self._cv, self.errors.correlation
         if not cv:
             return 1.0
         shape = 1 / (cv * cv)
@@ -144,11 +171,18 @@ class World:
         A count is whole, and below its threshold a sensor reads 0.
         """
         match self.sensor:
+            case Instrument():
+                return min(value, self.sensor.saturation)
             case Hits():
                 return max(round(value), 0)
             case Threshold(threshold) if value < threshold:
                 return 0.0
         return value
+
+    def _drifted(self, sensor: Instrument, value: float, time_s: float, noise: Keyed) -> float:
+        """What an instrument shows of a value at this time of the mission."""
+        share = sensor.drift * noise.at(self.seed, "drift").standard_normal() * time_s / HOUR_S
+        return min(value * (1.0 + share), sensor.saturation)
 
     @cached_property
     def _noise(self) -> Keyed:
@@ -165,8 +199,24 @@ def readings_of(
     places = np.zeros((len(worlds), 3))
     places[:, :2] = positions
     there, winds = _air(worlds, places, times_s)
-    cosine, sine, speed, gain = np.array([world._instruments for world in worlds]).T
-    means = there * gain
+    instruments = np.array([world._instruments for world in worlds]).T
+    return _read(worlds, there * instruments[3], winds, instruments, steps, times_s, noise)
+
+
+def _read(
+    worlds: Sequence[World],
+    means: Array,
+    winds: Array,
+    instruments: Array,
+    steps: Sequence[int],
+    times_s: Array,
+    noise: Keyed,
+) -> tuple[Array, Array]:
+    """Return the readings (M,) of sensors, and of anemometers in true winds (M, 2), as `readings_of`.
+
+    means: (M,) that the noise of each is added to.  instruments: (4, M) of the worlds.
+    """
+    cosine, sine, speed, _ = instruments
     winds = np.stack(
         [
             (cosine * winds[:, 0] + sine * winds[:, 1]) / speed,
@@ -186,6 +236,8 @@ def readings_of(
         for spiked, amount in world.errors.spikes:
             if step == spiked:
                 readings[number] = world._shown(readings[number] + amount)
+        if isinstance(world.sensor, Instrument):
+            readings[number] = world._drifted(world.sensor, readings[number], times_s[number], noise)
         if step >= world.errors.stuck_from:
             readings[number] = world._stuck(step, noise)
     return as_float32(readings), as_float32(winds)
@@ -203,24 +255,30 @@ def _air(worlds: Sequence[World], places: Array, times_s: Array) -> tuple[Array,
         return steady(plumes, places)
     gas, winds = np.empty(len(worlds)), np.empty((len(worlds), 2))
     for i, world in enumerate(worlds):
-        gas[i], winds[i] = _asked(world, places[i : i + 1], times_s[i : i + 1])
+        gas[i : i + 1], winds[i : i + 1] = _asked(world, places[i : i + 1], times_s[i : i + 1])
     return gas, winds
 
 
-def _asked(world: World, places: Array, times_s: Array) -> tuple[float, Array]:
-    """Return the gas and the true wind (2,) at one place. Raises WorldError: it may be anybody's code."""
+def _asked(world: World, places: Array, times_s: Array) -> tuple[Array, Array]:
+    """Return the gas (M,) and the true wind (M, 2) at places (M, 3) of a world at times (M,).
+
+    Raises WorldError: it may be anybody's code.
+    """
     try:
-        gas, winds = world.air(places, times_s)
-        amount, wind = np.asarray(gas, np.float64).reshape(()), np.asarray(winds, np.float64).reshape(2)
+        said = world.air(places, times_s)
+        gas = np.asarray(said[0], np.float64).reshape(len(places))
+        winds = np.asarray(said[1], np.float64).reshape(len(places), 2)
     except Exception as error:
         where = traceback.extract_tb(error.__traceback__)[-1]
         raise WorldError(
             f"world {world.name} failed: {type(error).__name__}: {' '.join(str(error).split())[:200]} "
             f"({Path(where.filename).name}, line {where.lineno})"
         ) from error
-    if not (0 <= amount < math.inf and np.isfinite(wind).all()):
+    sound = np.isfinite(winds).all(axis=1) & np.isfinite(gas) & (gas >= 0)
+    if not sound.all():
+        wrong = int(np.argmin(sound))
         raise WorldError(
-            f"world {world.name} said gas {amount:g} and wind {wind.tolist()}; wanted gas from 0, in g/m³, "
-            "and finite numbers"
+            f"world {world.name} said gas {gas[wrong]:g} and wind {winds[wrong].tolist()}; wanted gas from "
+            "0, in g/m³, and finite numbers"
         )
-    return float(amount), wind
+    return gas, winds

@@ -5,9 +5,9 @@ import argparse
 from aircraft.search.events import Wind
 from link import cli
 from link.cli import BadInput
-from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import AS_MODELLED
+from plume.sensors import names as sensor
 from plume.worlds.names import ABOUT, OURS, check, kinds
 from sitl.script.script import Script, VehiclePart, find, load, shipped
 from sitl.script.typed_yaml import Document

@@ -14,10 +14,10 @@ from msgspec import Meta
 from aircraft.search.events import Count, OnBoard, Radians, ScriptEvent, Wind, WindSpeed
 from aircraft.search.search import AfterStop
 from link.cli import BadInput, did_you_mean
-from plume import sensor
 from plume.parameters import LIMITS, MOST
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, AS_MODELLED, BUDGET_STEPS, STEP_M, Scenario, draw
+from plume.sensors import names as sensor
 from plume.worlds.names import check
 from plume.worlds.world import World
 from sitl.autopilot.config import STREAM_S, VehicleConfig

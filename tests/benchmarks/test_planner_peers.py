@@ -12,7 +12,7 @@ from agent.policies import choose
 from benchmarks import planner_peers
 from benchmarks.planner_peers import NUMPY
 from benchmarks.planners import FIRST_SEED, Case, beliefs
-from plume.sensor import parse
+from plume.sensors.names import parse
 
 
 @pytest.fixture(scope="module")

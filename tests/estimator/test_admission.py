@@ -8,7 +8,8 @@ from estimator.admission import greatest_concentration, refusal
 from estimator.filter import Config
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
-from plume.sensor import Gaussian, Hits, Sensor, Threshold
+from plume.sensors.names import Sensor
+from plume.sensors.sensor import Gaussian, Hits, Threshold
 
 GOOD = Reading(2000, (3.0, 4.0), 5.0, (1.0, 0.5), 0.5)
 

@@ -12,7 +12,8 @@ from estimator.filter import Config
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from link import cli
 from plume.parameters import CV, NOISE, PARAMETERS, PHI, TAU, WIND_DIRECTION, WIND_SPEED, D, Q, U
-from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold
+from plume.sensors.names import GAUSSIAN, Sensor
+from plume.sensors.sensor import Gaussian, Hits, Threshold
 from sitl.script.script import EstimatorPart
 
 FIELD = ("x", "y", "q", "tau", "wind-direction", "wind-speed", "noise", "cv")

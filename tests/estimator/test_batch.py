@@ -8,7 +8,7 @@ from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.priors import Gamma, Normal
 from link.bus.mavlink import Reading
 from plume.scenario import draw
-from plume.sensor import Hits
+from plume.sensors.sensor import Hits
 from plume.worlds.world import World
 
 MISSIONS, STEPS = 21, 70

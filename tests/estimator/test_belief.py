@@ -12,7 +12,7 @@ from estimator.belief import CLEAR, belief, may_claim, stop
 from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.priors import Fixed, LogNormal, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
-from plume.sensor import Hits, Threshold
+from plume.sensors.sensor import Hits, Threshold
 
 READING = Reading(77, (1.0, 2.0), 5.0, (1.0, 0.0), 0.5)
 

@@ -15,7 +15,7 @@ from estimator.priors import Fixed, Uniform
 from link.bus.mavlink import Reading
 from plume.randomness import keyed
 from plume.scenario import Scenario
-from plume.sensor import GAUSSIAN
+from plume.sensors.names import GAUSSIAN
 from plume.worlds.world import World
 
 GUSTS = {"threshold_m": 3.0, "priors": {"cv": Fixed(0.5)}}

@@ -14,7 +14,7 @@ from estimator.priors import LogNormal, Normal, Prior
 from link.bus.mavlink import Reading
 from plume.dispersion import concentration
 from plume.scenario import Scenario, draw
-from plume.sensor import Gaussian
+from plume.sensors.sensor import Gaussian
 from tests.estimator.exact_cells import (
     CellPosterior,
     Likelihood,

@@ -17,7 +17,8 @@ from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from plume import numerics
 from plume.dispersion import concentration
 from plume.draws import key_of, uniform
-from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, sensor_row, text
+from plume.sensors.names import GAUSSIAN, Sensor, sensor_row, text
+from plume.sensors.sensor import Gaussian, Hits, Threshold
 
 CONFIG = Config(rate=270.0, diffusivity=4.2)
 READING = np.array([14.0, 13.0, 0.0, 1.9, 2.6, 3.75])

@@ -14,7 +14,8 @@ from estimator.kernels.moves import move
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from plume.dispersion import concentration
 from plume.draws import key_of, uniform
-from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, text
+from plume.sensors.names import GAUSSIAN, Sensor, text
+from plume.sensors.sensor import Gaussian, Hits, Threshold
 
 Array = np.ndarray
 CONFIG = Config(rate=270.0, diffusivity=4.2)

@@ -12,7 +12,7 @@ from estimator.priors import LogNormal, Prior
 from link.bus.mavlink import Reading
 from plume.dispersion import concentration
 from plume.scenario import AREA_M, Scenario, draw
-from plume.sensor import GAUSSIAN
+from plume.sensors.names import GAUSSIAN
 from plume.worlds.world import World
 
 Array = np.ndarray

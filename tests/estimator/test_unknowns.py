@@ -13,7 +13,8 @@ from estimator.kernels.moves import move
 from estimator.priors import Fixed, Gamma, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.dispersion import concentration
-from plume.sensor import GAUSSIAN, Hits, Sensor, Threshold
+from plume.sensors.names import GAUSSIAN, Sensor
+from plume.sensors.sensor import Hits, Threshold
 from tests.estimator.exact import log_likelihood
 
 Array = np.ndarray

@@ -35,7 +35,7 @@ from link.bus.tally import FAULT, REPEATED, Tally
 from link.modes import Mode
 from link.record.reader import read
 from plume.scenario import AREA_M, draw
-from plume.sensor import GAUSSIAN
+from plume.sensors.names import GAUSSIAN
 from plume.worlds.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.vehicle import Vehicle

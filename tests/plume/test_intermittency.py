@@ -12,7 +12,7 @@ from numba import njit
 from plume import intermittency
 from plume.randomness import Abreast, Keyed, keyed
 from plume.scenario import draw
-from plume.sensor import Gaussian, Threshold
+from plume.sensors.sensor import Gaussian, Threshold
 from plume.worlds.world import World, readings_of
 
 CVS = (0.02, 0.04, 0.075, 0.13, 0.33, 0.71, 1.0, 1.1, 1.6, 2.1, 2.625, 2.975, 3.0)

@@ -233,7 +233,7 @@ def test_what_cannot_be_evaluated_is_a_value_error(wrong: dict) -> None:
         ({"ends": False}, "argument ends=False is not allowed; wanted further knowledge of "),
         (
             {"sensor": "hits:3,0.1"},
-            "sensor 'hits:3,0.1' is not allowed; wanted a sensor, such as plume.sensor.parse",
+            "sensor 'hits:3,0.1' is not allowed; wanted a sensor, such as plume.sensors.names.parse",
         ),
         (
             {"priors": {"q": "gamma:2,150"}},

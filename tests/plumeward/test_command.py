@@ -11,7 +11,7 @@ import pytest
 
 from link.bus.mavlink import Codec, gas_message
 from plume import __version__
-from plume.sensor import KINDS, Sensor, parse
+from plume.sensors.names import KINDS, Sensor, parse
 from plume.worlds import errors
 from plumeward.commands import COMMANDS, GROUPS, main
 

@@ -35,7 +35,7 @@ from link.bus.messages import pack_particles
 from link.record.reader import read
 from plume.randomness import Keyed, keyed
 from plume.scenario import AS_MODELLED, draw
-from plume.sensor import parse
+from plume.sensors.names import parse
 from plume.worlds.errors import WRONG
 from plume.worlds.world import World, readings_of
 from tests.golden.__main__ import GOLDEN, SENSORS, compare, path

@@ -19,7 +19,7 @@ from link.bus.mavlink import Reading
 from link.record.reader import Recording, read
 from plume.randomness import keyed
 from plume.scenario import draw
-from plume.sensor import GAUSSIAN
+from plume.sensors.names import GAUSSIAN
 from plume.worlds.world import World
 from tests.system.conftest import Part
 from tests.system.live import run_sitl

@@ -17,7 +17,7 @@ import zenoh
 from pymavlink.dialects.v20 import common as mavlink
 
 from plume.dispersion import concentration
-from plume.sensor import Gaussian
+from plume.sensors.sensor import Gaussian
 from sitl.autopilot.telemetry import STREAMS
 from tests.system.stranger import Stranger, belief, messages, nothing_more, particles
 from tests.system.wires import SerialWire, free_port

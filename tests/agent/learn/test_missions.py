@@ -19,7 +19,7 @@ from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
 from plume.randomness import derived_seed, keyed
 from plume.scenario import AREA_M, SUCCESS_RADIUS_M, draw
-from plume.sensor import Gaussian
+from plume.sensors.sensor import Gaussian
 from plume.worlds.world import World
 
 PARTICLES, THRESHOLD_M = 200, 0.7

@@ -15,7 +15,8 @@ import pytest
 from agent.planners.registry import PLANNERS, planner, reach
 from agent.planning.moves import Reach
 from link.bus.messages import Belief
-from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, text
+from plume.sensors.names import GAUSSIAN, Sensor, text
+from plume.sensors.sensor import Gaussian, Hits, Threshold
 
 Array = np.ndarray
 DIFFUSIVITY, LIFETIME, ALTITUDE, HEIGHT = 4.2, 10.0, 5.0, 4.25

@@ -23,7 +23,8 @@ from agent.planning.predict import (
 )
 from link.bus.messages import Belief
 from plume.dispersion import concentration
-from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, text
+from plume.sensors.names import GAUSSIAN, Sensor, text
+from plume.sensors.sensor import Gaussian, Hits, Threshold
 
 RATE, DIFFUSIVITY, LIFETIME, WIND = 270.0, 4.2, 10.0, (1.5, -1.0)
 HERE = (14.0, 13.0)

@@ -9,7 +9,7 @@ import pytest
 from agent.trials import floor
 from plume.dispersion import concentration
 from plume.scenario import Scenario, draw
-from plume.sensor import GAUSSIAN
+from plume.sensors.names import GAUSSIAN
 
 CALM = Scenario(source=(15.0, 15.0), q=300.0, u=0.0, phi=0.0, d=4.5, tau=10.0, start=(12.0, 15.0))
 WINDY = Scenario(source=(15.0, 15.0), q=300.0, u=2.0, phi=2.5, d=3.0, tau=10.0, start=(13.0, 13.5))

@@ -15,7 +15,7 @@ from link.bus.mavlink import Reading
 from plume.outcome import outcome_text
 from plume.parameters import LIMITS
 from plume.scenario import AS_MODELLED, Scenario, draw
-from plume.sensor import KINDS, parse
+from plume.sensors.names import KINDS, parse
 from plume.worlds.errors import WRONG
 from plume.worlds.world import World
 

@@ -24,7 +24,7 @@ from estimator.criterion import Criterion
 from estimator.priors import Gamma, Uniform
 from plume import __version__
 from plume.scenario import draw
-from plume.sensor import Hits
+from plume.sensors.sensor import Hits
 from plume.worlds.world import World
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from aircraft.payload.messages import Question
 from aircraft.payload.simulated import Simulated
 from plume.scenario import draw
-from plume.sensor import Gaussian
+from plume.sensors.sensor import Gaussian
 from plume.worlds.world import World
 
 SEED = 7

@@ -20,7 +20,7 @@ from link.bus.inbox import Inbox
 from link.bus.mavlink import Message
 from link.interrupts import on_end
 from plume.scenario import draw
-from plume.sensor import Gaussian
+from plume.sensors.sensor import Gaussian
 from plume.worlds.world import World
 from tests.aircraft.remote.cockpit import STEPS, Cockpit
 from tests.autopilots.body import DT_S

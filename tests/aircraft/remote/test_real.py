@@ -22,7 +22,7 @@ from link.bus.mavlink import BadFrame, Codec, split, unpack, unpack_reading, way
 from link.bus.session import Arrival, LivelinessChange
 from link.interrupts import on_end
 from plume.scenario import draw
-from plume.sensor import Gaussian
+from plume.sensors.sensor import Gaussian
 from plume.worlds.world import World
 from tests.aircraft.remote.cockpit import Cockpit
 from tests.aircraft.remote.test_leaving import InStep

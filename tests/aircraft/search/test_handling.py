@@ -20,7 +20,7 @@ from link.bus.mavlink import Codec, unpack
 from link.bus.session import Arrival
 from link.modes import Mode
 from plume.scenario import draw
-from plume.sensor import Gaussian
+from plume.sensors.sensor import Gaussian
 from plume.worlds.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.vehicle import Vehicle

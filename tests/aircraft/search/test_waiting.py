@@ -11,7 +11,7 @@ from aircraft.state import VehicleFailed
 from link.bus.keys import PAYLOAD_IN, Key
 from link.bus.session import LivelinessChange
 from plume.scenario import draw
-from plume.sensor import Gaussian
+from plume.sensors.sensor import Gaussian
 from plume.worlds.world import World
 from tests.aircraft.remote.cockpit import Cockpit
 from tests.aircraft.remote.test_leaving import InStep

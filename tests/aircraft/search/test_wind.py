@@ -8,7 +8,7 @@ from aircraft.state import VehicleFailed
 from link.bus.keys import READING
 from link.bus.mavlink import unpack_reading
 from plume.scenario import draw
-from plume.sensor import Gaussian
+from plume.sensors.sensor import Gaussian
 from plume.worlds.world import World
 from tests.aircraft.remote.cockpit import Cockpit
 from tests.aircraft.remote.test_real import MEASURED, Others, fly, of_a_command

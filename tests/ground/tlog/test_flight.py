@@ -23,7 +23,7 @@ from link.cli import BadInput
 from plume.dispersion import concentration
 from plume.geodesy import to_global
 from plume.scenario import Scenario
-from plume.sensor import GAUSSIAN
+from plume.sensors.names import GAUSSIAN
 from plume.worlds.world import World
 from tests.ground.tlog.logs import (
     BEGAN_US,

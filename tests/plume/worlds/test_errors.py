@@ -12,7 +12,8 @@ from msgspec.structs import asdict
 
 from plume.randomness import Keyed, keyed
 from plume.scenario import AS_MODELLED, Scenario, draw
-from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold
+from plume.sensors.names import GAUSSIAN, Sensor
+from plume.sensors.sensor import Gaussian, Hits, Threshold
 from plume.worlds.errors import WRONG
 from plume.worlds.names import named
 from plume.worlds.world import World, readings_of

@@ -6,7 +6,8 @@ import pytest
 from plume.dispersion import concentration
 from plume.randomness import Keyed, derived_seed, keyed
 from plume.scenario import draw
-from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, text
+from plume.sensors.names import GAUSSIAN, Sensor, text
+from plume.sensors.sensor import Gaussian, Hits, Threshold
 from plume.worlds.world import World, readings_of
 
 

@@ -13,7 +13,7 @@ from aircraft.search.events import Hold, Land, Resume, Return
 from docs.generate.schema import schema
 from link.cli import BadInput
 from plume.scenario import draw
-from plume.sensor import Hits
+from plume.sensors.sensor import Hits
 from sitl.script.script import Script, load
 
 ROOT = Path(__file__).parents[3]

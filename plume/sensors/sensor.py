@@ -1,12 +1,11 @@
 """Gas sensors: each class defines both how readings are drawn and their likelihood."""
 
 import math
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plume.parameters import GREATEST_CV, MOST
 from plume.randomness import Draws
 
 Array = NDArray[np.float64]
@@ -18,7 +17,8 @@ _erf = np.vectorize(math.erf, otypes=[np.float64])
 _log_gamma = np.vectorize(math.lgamma, otypes=[np.float64])
 
 
-def _normal_cdf(value: ArrayLike) -> Array:
+def normal_cdf(value: ArrayLike) -> Array:
+    """P(Z ≤ value) of a standard normal variable."""
     return np.asarray(0.5 * (1.0 + _erf(np.asarray(value) / math.sqrt(2.0))))
 
 
@@ -74,6 +74,9 @@ class Gaussian:
     # concentration c is then gamma-distributed around the plume's mean with shape k = 1/cv² and scale m/k,
     # independent from reading to reading, and z = c + v.
     cv: float = 0.0
+    dwell: float = field(
+        default=0.0, kw_only=True
+    )  # s that it hovers for a reading, which is of the mean gas
 
     def noise_std(self, mean: ArrayLike) -> Array:
         """σ(m), g/m³."""
@@ -161,6 +164,9 @@ class Threshold:
     missed: float = 0.3  # p_m: probability of a missed detection, in [0, 1)
     sensor_noise: float = 0.3  # α
     environment_noise: float = 0.2  # β, g/m³
+    dwell: float = field(
+        default=0.0, kw_only=True
+    )  # s that it hovers for a reading, which is of the mean gas
 
     def _analog(self) -> Gaussian:
         return Gaussian(self.sensor_noise, self.environment_noise)
@@ -179,7 +185,7 @@ class Threshold:
 
     def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
         """Log-probability of a reading of 0; log-density of one above the threshold."""
-        below = _normal_cdf((self.threshold - np.asarray(mean)) / self._analog().noise_std(mean))
+        below = normal_cdf((self.threshold - np.asarray(mean)) / self._analog().noise_std(mean))
         silent = np.log(np.maximum(self.missed + (1 - self.missed) * below, 1e-300))
         heard = math.log1p(-self.missed) + self._analog().log_likelihood(reading, mean)
         return np.where(np.asarray(reading) == 0.0, silent, heard)
@@ -236,6 +242,9 @@ class Hits:
 
     efficiency: float = 3.0  # e: expected hits per reading and g/m³; above 0
     background: float = 0.1  # b: expected hits per reading in clean air; above 0
+    dwell: float = field(
+        default=0.0, kw_only=True
+    )  # s that it hovers for a reading, which is of the mean gas
 
     def measure(
         self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None, _noise: ArrayLike = 1.0
@@ -298,57 +307,3 @@ class Hits:
             if whole and 0 <= reading <= high
             else f"gas {reading:g} is absurd; allowed is a count of hits from 0 to {high}"
         )
-
-
-Sensor = Gaussian | Threshold | Hits
-KINDS: dict[str, type[Gaussian] | type[Threshold] | type[Hits]] = {
-    "gaussian": Gaussian,
-    "threshold": Threshold,
-    "hits": Hits,
-}
-GAUSSIAN = Gaussian()
-GAUSSIAN_KIND, THRESHOLD_KIND, HITS_KIND = 0.0, 1.0, 2.0  # kinds of sensors as compiled loops know them
-
-
-def parse(text: str) -> Sensor:
-    """Read a sensor from `kind` or `kind:number,number…`, as on command lines. Raises ValueError."""
-    name, _, numbers = text.partition(":")
-    if name not in KINDS:
-        raise ValueError(
-            f"{text!r} is not allowed; wanted {', '.join(KINDS)}, optionally with numbers: KIND:NUMBER,NUMBER"
-        )
-    names = [field.name for field in fields(KINDS[name])]
-    try:
-        values = [float(number) for number in numbers.split(",")] if numbers else []
-        sensor = KINDS[name](*values)
-    except (TypeError, ValueError):
-        raise ValueError(f"{text!r} is not allowed; wanted {name} or {name}:{','.join(names)}") from None
-    for field, value in zip(names, astuple(sensor), strict=True):
-        may_be_zero = field in ("missed", "sensor_noise", "cv")
-        sound = 0 <= value <= MOST and (may_be_zero or value >= 1 / MOST)
-        if not sound or (field == "missed" and value >= 1) or (field == "cv" and value > GREATEST_CV):
-            limited = {"missed": "a number from 0 to below 1", "cv": f"a number from 0 to {GREATEST_CV:g}"}
-            wanted = limited.get(field, f"a number from {0 if may_be_zero else 1 / MOST:g} up to {MOST:g}")
-            raise ValueError(f"{text!r} is not allowed; {field} is {value:g}, wanted {wanted}")
-    return sensor
-
-
-def text(sensor: Sensor) -> str:
-    """Return the text of a sensor that `parse` reads back; without an intermittency of 0."""
-    name = next(name for name, kind in KINDS.items() if type(sensor) is kind)
-    numbers = astuple(sensor)
-    numbers = numbers[:-1] if isinstance(sensor, Gaussian) and not sensor.cv else numbers
-    return f"{name}:{','.join(map(repr, numbers))}"
-
-
-def sensor_row(sensor: Sensor) -> Array:
-    """Return a sensor as compiled loops take it, (5,): kind, α or e, β or b, threshold, p_m."""
-    result = np.zeros(5)
-    match sensor:
-        case Gaussian(slope, floor):
-            result[:3] = GAUSSIAN_KIND, slope, floor
-        case Threshold(threshold, missed, slope, floor):
-            result[:] = THRESHOLD_KIND, slope, floor, threshold, missed
-        case Hits(efficiency, background):
-            result[:3] = HITS_KIND, efficiency, background
-    return result

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, parse, text
+from plume.sensors.names import GAUSSIAN, Sensor, parse, text
+from plume.sensors.sensor import Gaussian, Hits, Threshold
 
 DRAWS = 200_000
 MEANS = [0.0, 0.4, 1.0, 10.0]

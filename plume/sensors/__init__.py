@@ -1,0 +1,4 @@
+"""Gas sensors: how their readings are drawn, their likelihoods, and their names.
+
+Imports: plume.
+"""
