@@ -6,12 +6,12 @@ threshold, and a count is never negative.
 """
 
 import math
-import os
+
 from plume.compiled import subroutine
 from plume.elementary import Array
 from plume.sensor import HITS_KIND, THRESHOLD_KIND
 
-SIZE = float(os.environ.get("SIZE","10.0"))
+SIZE = 10.0
 
 
 @subroutine
