@@ -29,7 +29,7 @@ def spike_density(gas: float, sensor: Array) -> float:
     if sensor[0] == THRESHOLD_KIND and gas == 0.0:
         return spike_distribution(sensor[3], sensor)
     scale = SIZE * sensor[2]
-    return 0.25 * _exceeds(abs(gas), sensor) / (scale + abs(gas))
+    return float(0.25 * _exceeds(abs(gas), sensor) / (scale + abs(gas)))
 
 
 @subroutine
