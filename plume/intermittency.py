@@ -10,6 +10,7 @@ c*²/(1 + k + c*²), c* the integrand's mode: the log-density is right to 0.005,
 """
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -104,9 +105,9 @@ CONCENTRATIONS = _concentrations()
 SHARES = np.array([0.05] * BODY + [0.05 * 0.5**cell for cell in range(TAIL - 1)] + [0.1 * 0.5 ** (TAIL - 1)])
 
 
-@subroutine
-def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
-    """Log-density of a reading: gas of this mean and coefficient of variation plus noise N(0, variance)."""
+@partial(subroutine, forceinline=True)
+def _parts(gas: float, mean: float, variance: float, cv: float) -> tuple[float, float, float, float]:
+    """Return (a, b, c, d) of a log-density a + (b + log c)/2 + d − log(2π)/2."""
     cv = max(cv, SMALLEST_CV)
     k = 1 / (cv * cv)
     inverse = 1 / math.sqrt(variance)
@@ -127,13 +128,21 @@ def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
     high = CORRECTIONS[row + 1, column] + y * (
         CORRECTIONS[row + 1, column + 1] - CORRECTIONS[row + 1, column]
     )
-    correction = low + x * (high - low)
-    return float(
-        k * log(ratio)
-        + 0.5 * (square - t * t + log(k * inverse * inverse / total))
-        + correction
-        - HALF_LOG_2PI
-    )
+    return k * log(ratio), square - t * t, k * inverse * inverse / total, low + x * (high - low)
+
+
+@partial(subroutine, forceinline=True)
+def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
+    """Log-density of a reading: gas of this mean and coefficient of variation plus noise N(0, variance)."""
+    log_ratio, square, factor, correction = _parts(gas, mean, variance, cv)
+    return float(log_ratio + 0.5 * (square + log(factor)) + correction - HALF_LOG_2PI)
+
+
+@partial(subroutine, forceinline=True)
+def density(gas: float, mean: float, variance: float, cv: float) -> float:
+    """Density of a reading, as `log_density`; it takes less time than exp of that."""
+    log_ratio, square, factor, correction = _parts(gas, mean, variance, cv)
+    return float(exp(log_ratio + 0.5 * square + correction - HALF_LOG_2PI) * math.sqrt(factor))
 
 
 @subroutine

@@ -97,13 +97,23 @@ def predictive_rank(
 
 
 @subroutine
-def _of_one_value(gas: Array, sensor: Array) -> float:
+def _log_factorials(gas: Array, sensor: Array) -> Array:
+    """Return the logarithms of the factorials of counts (T,); zeros for a sensor that does not count."""
+    result = np.zeros(len(gas))
+    if sensor[0] == HITS_KIND:
+        for i in range(len(gas)):
+            result[i] = log_gamma(gas[i] + 1.0)
+    return result
+
+
+@subroutine
+def _of_one_value(gas: Array, log_factorials: Array, sensor: Array) -> float:
     """Greatest log-likelihood of gas values (T,) by a sensor that shows one value plus noise, no spikes."""
     count, result = len(gas), 0.0
     if sensor[0] == HITS_KIND:
         mean = max(total_of(gas) / count, 1e-300)
-        for k in gas:
-            result += k * log(mean) - mean - log_gamma(k + 1.0)
+        for i in range(count):
+            result += gas[i] * log(mean) - mean - log_factorials[i]
         return result
     if sensor[0] == THRESHOLD_KIND:
         gas = gas[gas != 0.0]
@@ -125,10 +135,11 @@ def log_likelihood_of_one_value(readings: Array, sensor: Array, spikes: float) -
     taken for spikes, up to half.
     """
     gas = readings[:, 5].copy()
-    result = _of_one_value(gas, sensor)
+    result = _of_one_value(gas, _log_factorials(gas, sensor), sensor)
     if spikes == 0:
         return result
     ordered, low, high, of_spikes, kept = np.sort(gas), 0, len(gas), 0.0, log1p(-spikes)
+    constants = _log_factorials(ordered, sensor)
     result += len(gas) * kept
     for _ in range(len(gas) // 2):
         middle = total_of(ordered[low:high]) / (high - low)
@@ -138,7 +149,8 @@ def log_likelihood_of_one_value(readings: Array, sensor: Array, spikes: float) -
         else:
             of_spikes += log(spikes * spike_density(ordered[low], sensor))
             low += 1
-        result = max(result, of_spikes + (high - low) * kept + _of_one_value(ordered[low:high], sensor))
+        of_rest = _of_one_value(ordered[low:high], constants[low:high], sensor)
+        result = max(result, of_rest + (high - low) * kept + of_spikes)
     return result
 
 

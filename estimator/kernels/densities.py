@@ -10,7 +10,7 @@ from estimator.kernels.spikes import spike_density
 from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
-from plume.intermittency import log_density
+from plume.intermittency import density, log_density
 from plume.kernels import (
     CVS,
     DERIVED,
@@ -69,13 +69,37 @@ def is_intermittent(priors: Array) -> bool:
 def log_densities(means: Array, derived: Array, count: int, gas: float, model: Model, result: Array) -> None:
     """Fill `result` with the log-likelihood of a gas value for each mean, as plume/sensors/ defines it.
 
-    A share of the readings are spikes: the likelihood is that of a mixture.
+    Where a share of the readings are spikes, it is that of the mixture.
     derived: as of `reading_densities`, for the noise and the gas's intermittency where they are unknown.
     """
+    spikes = model.spikes[0]
+    if spikes == 0:
+        _without_spikes(means, derived, count, gas, model, result)
+        return
+    kept, spike = 1 - spikes, spikes * spike_density(gas, model.sensor)
+    if is_intermittent(model.priors):
+        slope, floor = model.sensor[1] * model.sensor[1], model.sensor[2] * model.sensor[2]
+        for i in range(count):
+            variance = derived[NOISES, i] * (slope * means[i] * means[i] + floor)
+            result[i] = log(kept * density(gas, means[i], variance, derived[CVS, i]) + spike)
+    else:
+        _without_spikes(means, derived, count, gas, model, result)
+        for i in range(count):
+            result[i] = log(kept * exp(result[i]) + spike)
+
+
+@subroutine
+def _without_spikes(
+    means: Array, derived: Array, count: int, gas: float, model: Model, result: Array
+) -> None:
+    """Fill `result` as `log_densities` does for readings that are no spikes."""
     sensor = model.sensor
     kind, slope, floor = sensor[0], sensor[1] * sensor[1], sensor[2] * sensor[2]
     plain = is_plain(model.priors)
-    if kind == HITS_KIND:
+    if kind == HITS_KIND and gas == 0.0:
+        for i in range(count):
+            result[i] = -(sensor[1] * means[i] + sensor[2])
+    elif kind == HITS_KIND:
         constant = log_gamma(gas + 1.0)
         for i in range(count):
             expected = sensor[1] * means[i] + sensor[2]
@@ -100,11 +124,6 @@ def log_densities(means: Array, derived: Array, count: int, gas: float, model: M
                 variance *= derived[NOISES, i]
             residual = gas - means[i]
             result[i] = -0.5 * (residual * residual / variance + log(variance)) - constant
-    spikes = model.spikes[0]
-    if spikes > 0:
-        kept, spike = 1 - spikes, spikes * spike_density(gas, sensor)
-        for i in range(count):
-            result[i] = log(kept * exp(result[i]) + spike)
 
 
 @subroutine

@@ -1,36 +1,44 @@
 """Spikes: readings that say nothing of the source. How they are distributed, whatever the hypothesis.
 
-A spike has any size and either sign: it is log-uniform, over a million times the noise in clean air or a
-million hits. A threshold sensor reads 0 where it is below the threshold.
+A spike has either sign and any size: the probability that it exceeds z is √(s/(s + z)), where s is SIZE
+standard deviations of the noise in clean air. A threshold sensor reads 0 where a spike is below its
+threshold, and a count is never negative.
 """
 
 import math
 
 from plume.compiled import subroutine
 from plume.elementary import Array
-from plume.numerics import log1p
 from plume.parameters import HITS_KIND, THRESHOLD_KIND
 
-LOG_RANGE = math.log(1e6)
+SIZE = 10.0
+
+
+@subroutine
+def _exceeds(size: float, sensor: Array) -> float:
+    """Probability that a spike is greater than a size, whatever its sign."""
+    scale = SIZE * (math.sqrt(sensor[2]) if sensor[0] == HITS_KIND else sensor[2])
+    return math.sqrt(scale / (scale + size))
 
 
 @subroutine
 def spike_density(gas: float, sensor: Array) -> float:
     """Density of a spike of this value; its probability if that is a count, or 0 of a threshold sensor."""
     if sensor[0] == HITS_KIND:
-        return log1p(1 / (gas + 1)) / LOG_RANGE
+        return _exceeds(gas, sensor) - _exceeds(gas + 1, sensor)
     if sensor[0] == THRESHOLD_KIND and gas == 0.0:
         return spike_distribution(sensor[3], sensor)
-    return float(0.5 / (LOG_RANGE * (sensor[2] + abs(gas))))
+    scale = SIZE * sensor[2]
+    return float(0.25 * _exceeds(abs(gas), sensor) / (scale + abs(gas)))
 
 
 @subroutine
 def spike_distribution(gas: float, sensor: Array) -> float:
     """Probability of a spike of at most this value, or count of -1 or more."""
     if sensor[0] == HITS_KIND:
-        return min(log1p(gas + 1) / LOG_RANGE, 1.0)
-    half = 0.5 * min(log1p(abs(gas) / sensor[2]) / LOG_RANGE, 1.0)
-    return 0.5 + half if gas > 0 else 0.5 - half
+        return 1 - _exceeds(gas + 1, sensor)
+    half = 0.5 * _exceeds(abs(gas), sensor)
+    return 1 - half if gas > 0 else half
 
 
 @subroutine

@@ -237,21 +237,35 @@ def test_a_known_error_of_what_measures_is_corrected() -> None:
 
 
 @pytest.mark.parametrize("sensor", [GAUSSIAN, Gaussian(cv=1.0), Threshold(), Hits()], ids=text)
-@pytest.mark.parametrize("noise", [None, 0.4, 2.5])
-def test_no_likelihood_exceeds_its_bound(sensor: Sensor, noise: float | None) -> None:
-    """The bound that early rejection relies on, for a known or an unknown factor on the noise."""
+@pytest.mark.parametrize("noise", [None, 0.4, 2.5, 40.0])
+@pytest.mark.parametrize("assume", ["paper", "field"])
+def test_no_likelihood_exceeds_its_bound(sensor: Sensor, noise: float | None, assume: str) -> None:
+    """The bound that early rejection relies on, for a known or an unknown factor on the noise, with and
+    without spikes.
+    """
     noise = None if isinstance(sensor, Hits) else noise  # theirs is Poisson's
+    known: dict[str, Prior] = {"wind-direction": Fixed(0.0), "wind-speed": Fixed(1.0), "q": Fixed(270.0)}
+    if isinstance(sensor, Gaussian):
+        known["cv"] = Fixed(sensor.cv)
+    if not isinstance(sensor, Hits):
+        known["noise"] = Fixed(1.0)
+    known = {**known, "tau": Fixed(10.0)} if assume == "field" else {}
     config = Config(
         rate=270.0,
         diffusivity=4.2,
-        priors={} if noise is None else {"noise": LogNormal(1.0, 0.5)},
+        priors=known if noise is None else {**known, "noise": LogNormal(1.0, 0.5)},
         sensor=sensor,
+        assume=assume,
     )
-    particles = np.vstack([draws(CONFIG, 4000), np.full((len(config.priors), 4000), noise or 1.0)])
+    particles = draws(CONFIG, 4000)
+    if noise is not None:
+        particles = np.vstack([particles, np.full((1, 4000), noise)])
+    assert len(config.unknowns) == len(particles)
     places = [(14.0, 13.0), (2.0, 28.0)]
     for gas in (0.0, 1.0, 3.0, 20.0) if isinstance(sensor, Hits) else (0.0, 0.6, 3.0, 20.0, 60.0):
-        bound = greatest_log_density(gas, sensor_row(sensor), config.prior_rows)
-        bound -= is_a_normal_density(gas, sensor_row(sensor)) * math.log(noise or 1.0)
+        greatest, spike = greatest_log_density(gas, config.model)
+        factor = noise if noise and is_a_normal_density(gas, sensor_row(sensor)) else 1.0
+        bound = greatest + math.log(1 / factor + spike)
         greatest = max(
             fused(config, particles, np.array([*place, 0.0, 1.9, 2.6, gas])).max() for place in places
         )
