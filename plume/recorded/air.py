@@ -144,12 +144,15 @@ class PlacedFootage:
         frames = self._skipped + np.concatenate([frame, (frame + 1) % self._frames])
         both, count = np.concatenate([there, there]), len(places)
         gas = self._footage.gas(both, frames)
+        gas = self._factor * blend(gas[:count], gas[count:], share)
+        if not self._footage.facts.windy:
+            return gas, np.tile(self._wind, (count, 1))
         found, known = self._footage.wind(both, frames)
-        air = blend(found[:count], found[count:], share) * self._scale
-        x = self._cosine * air[:, 0] - self._sine * air[:, 1]
-        y = self._sine * air[:, 0] + self._cosine * air[:, 1]
-        wind = np.where(known[:count, None], -np.stack([x, y], axis=1), self._wind)
-        return self._factor * blend(gas[:count], gas[count:], share), wind
+        air = blend(found[:count], found[count:], share[:, None]) * self._scale
+        wind = np.empty((count, 2))
+        wind[:, 0] = self._sine * air[:, 1] - self._cosine * air[:, 0]
+        wind[:, 1] = -self._sine * air[:, 0] - self._cosine * air[:, 1]
+        return gas, np.where(known[:count, None], wind, self._wind)
 
 
 def _towards(footage: Footage, source: Array, frame: int, file: str) -> tuple[float, float]:

@@ -88,16 +88,14 @@ def between(coordinates: Array, count: int) -> tuple[Indices, Indices, Array, ND
     half a cell beyond the outermost centres, where those alone count.
     """
     inside = (coordinates >= -0.5) & (coordinates <= count - 0.5)
-    clipped = np.clip(np.where(inside, coordinates, 0.0), 0.0, count - 1.0)
-    lower = np.minimum(np.floor(clipped), max(count - 2.0, 0.0))
-    below = lower.astype(np.int64)
-    return below, np.minimum(below + 1, count - 1), clipped - lower, inside
+    clipped = np.minimum(np.maximum(coordinates, 0.0), count - 1.0)
+    lower = np.minimum(clipped.astype(np.int64), max(count - 2, 0))
+    return lower, lower + (count > 1), clipped - lower, inside
 
 
 def blend(one: Array, other: Array, share: Array) -> Array:
-    """Return what lies between two values (M,) or (M, N), linearly, `share` (M,) of the way to the other."""
-    part = share if one.ndim == 1 else share[:, None]
-    return one * (1.0 - part) + other * part
+    """Return what lies between two values, linearly, `share` of the way to the other."""
+    return one * (1.0 - share) + other * share
 
 
 def one_line(error: Exception) -> str:

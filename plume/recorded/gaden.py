@@ -1,13 +1,14 @@
 """Results of GADEN: the folder of `iteration_0`, `iteration_1`, …, with its walls and its wind."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plume.elementary import Array, Indices
-from plume.recorded.footage import MOST_BYTES, PPM, Facts, Recent, between, blend
+from plume.recorded.footage import MOST_BYTES, PPM, Facts, Recent
 from plume.recorded.iteration import Grid, Moment, read
 from plume.recorded.space import FREE, Cells, occupancy, wind
 
@@ -59,7 +60,9 @@ class GadenRun:
             raise ValueError(f"gas: {gas!r}; wanted {', '.join(MOLAR)}")
         mode = "filaments" if first.filaments is not None else "concentrations"
         remarks = [f"gas: {gas}" if gas else "the gas is not said", f"walls: {walls or 'none'}"]
-        remarks.append(f"wind: {len(self._winds)} files" if self._winds else "no wind")
+        remarks.append(
+            f"wind: {len(self._winds)} file{'s' * (len(self._winds) > 1)}" if self._winds else "no wind"
+        )
         if first.shape not in ("", "point"):
             remarks.append(f"the source is a {first.shape}; its place counts as the source")
         unread = ["upward wind"] if self._winds else []
@@ -87,38 +90,37 @@ class GadenRun:
 
     def gas(self, places: Array, frames: Indices) -> Array:
         """Return concentrations, as of `Footage`: of filaments exactly, else linearly between cells."""
-        result = np.zeros(len(places))
-        for number in set(frames.tolist()):
-            those = frames == number
-            moment, there = self._moments[number], np.ascontiguousarray(places[those])
-            if moment.filaments is None:
-                assert moment.ppm is not None
-                values, inside = self._among_cells(moment.ppm, there)
-                result[those] = np.where(inside, values, 0.0)
-            else:
-                from plume.recorded.filaments import moles_at  # which loads the compiler
+        from plume.recorded.kernels import among_cells, moles_at  # which loads the compiler
 
-                assert self._cells is not None
-                moles = np.empty(len(there))
-                moles_at(
-                    there, moment.filaments, self._cells, self._low, self._grid.side, moment.moles, moles
-                )
-                result[those] = moles / moment.air * 1e6
-        return result
+        result = np.empty((len(places), 1))
+        there = (places - self._low) / self._grid.side
+        for number, those in _each(frames):
+            moment, part = self._moments[number], np.empty((np.count_nonzero(those), 1))
+            if moment.ppm is not None:
+                among_cells(there[those], moment.ppm[..., None], part, np.empty(len(part), np.uint8))
+            elif moment.filaments is not None and self._cells is not None:
+                moles_at(there[those], moment.filaments, self._cells, part[:, 0])
+                part = part / moment.air * 1e6
+            result[those] = part
+        return result[:, 0]
 
     def wind(self, places: Array, frames: Indices) -> tuple[Array, NDArray[np.bool_]]:
         """Return how the air moves, as of `Footage`, linearly between cells."""
-        air, known = np.zeros((len(places), 2)), np.zeros(len(places), np.bool_)
-        for number in set(frames.tolist()) if self._winds else ():
-            those = frames == number
+        from plume.recorded.kernels import among_cells
+
+        there = (places - self._low) / self._grid.side
+        air, known = np.zeros((len(places), 3)), np.zeros(len(places), np.uint8)
+        for number, those in _each(frames) if self._winds else ():
             which = self._moments[number].wind
             if which not in self._winds:
                 raise ValueError(
                     f"{self._folder / f'iteration_{number}'}: number of the wind: {which}; "
                     f"wanted that of a file, {min(self._winds)} to {max(self._winds)}"
                 )
-            air[those], known[those] = self._among_cells(self._airs[which][..., :2], places[those])
-        return air, known
+            part, inside = np.empty((np.count_nonzero(those), 3)), np.empty(np.count_nonzero(those), np.uint8)
+            among_cells(there[those], self._airs[which], part, inside)
+            air[those], known[those] = part, inside
+        return air[:, :2], known.astype(np.bool_)
 
     def walls(self, z: float) -> NDArray[np.bool_] | None:
         """Return which cells are no air, as of `Footage`."""
@@ -127,27 +129,16 @@ class GadenRun:
         layer = int(np.clip((z - self._grid.low[2]) / self._grid.side, 0, self._grid.cells[2] - 1))
         return np.asarray(self._cells[layer] != FREE)
 
-    def _among_cells(self, values: NDArray[np.float32], places: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Return what lies between the values (z, y, x) or (z, y, x, N) of cells, and where there are any."""
-        coordinates = (places - self._low) / self._grid.side - 0.5
-        (x0, x1, x, in_x), (y0, y1, y, in_y), (z0, z1, z, in_z) = (
-            between(coordinates[:, axis], self._grid.cells[axis]) for axis in range(3)
-        )
-
-        def along_x(layer: Indices, row: Indices) -> Array:
-            return blend(
-                values[layer, row, x0].astype(np.float64), values[layer, row, x1].astype(np.float64), x
-            )
-
-        lower, upper = (blend(along_x(layer, y0), along_x(layer, y1), y) for layer in (z0, z1))
-        return blend(lower, upper, z), in_x & in_y & in_z
-
     def _moment(self, number: int) -> Moment:
         path = self._folder / f"iteration_{number}"
         moment = read(path)
         if (moment.grid, moment.filaments is None) != (self._grid, self._first.filaments is None):
             raise ValueError(f"{path}: another grid or mode than in iteration_0; wanted the same")
-        return moment
+        if moment.filaments is None:
+            return moment
+        from plume.recorded.kernels import prepared
+
+        return moment._replace(filaments=prepared(moment.filaments, self._low, self._grid.side, moment.moles))
 
     def _walls(self, path: Path) -> Cells:
         grid, cells = occupancy(path)
@@ -157,6 +148,12 @@ class GadenRun:
                 f"{self._grid.cells} of {self._grid.side:g} m from {self._grid.low}"
             )
         return cells
+
+
+def _each(frames: Indices) -> Iterator[tuple[int, NDArray[np.bool_]]]:
+    """Yield each frame, and which elements are of it."""
+    for number in sorted(set(frames.tolist())):
+        yield number, frames == number
 
 
 def _alike(one: Grid, other: Grid) -> bool:

@@ -185,7 +185,7 @@ def read(path: Path) -> Moment:
             ppm = cursor.items(np.dtype("<f4"), "concentration", count)
             if not (np.isfinite(ppm) & (ppm >= 0)).all():
                 raise cursor.error("concentrations", "wanted finite numbers from 0")
-            ppm = ppm.reshape(cells[::-1])
+            ppm = np.array(ppm.reshape(cells[::-1]), np.float32)
     version = "1" if major == 1 else f"{major}.{minor}"
     return Moment(version, grid, shape, source, gas, moles, air, wind, filaments, ppm)
 

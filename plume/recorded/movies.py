@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from plume.elementary import Array, Indices
 from plume.recorded.footage import MOST_BYTES, Facts, Recent, between, blend
 
-OWN = "units of the file"
+OWN = "of its own unit"
 Pixels = NDArray[np.generic]
 
 

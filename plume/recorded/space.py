@@ -96,4 +96,4 @@ def wind(path: Path, grid: Grid) -> NDArray[np.float32]:
     if not (np.abs(air) < 1e6).all():  # false of NaN, too
         cell = int(np.argmin((np.abs(air) < 1e6).all(axis=1)))
         raise ValueError(f"{path}: wind of cell {cell}: {air[cell].tolist()}; wanted numbers below 1e6")
-    return np.ascontiguousarray(air.reshape(*grid.cells[::-1], 3))
+    return np.array(air.reshape(*grid.cells[::-1], 3), np.float32, order="C")
