@@ -14,7 +14,6 @@ from plume.recorded.space import FREE, Cells, occupancy, wind
 
 OCCUPANCY = "OccupancyGrid3D.csv"
 ABOVE = 3  # folders above the results in which GADEN keeps walls and wind
-MOST_ITERATIONS = 1_000_000
 # Molar masses, g/mol; of mixtures, GADEN's specific gravity times that of air.
 MOLAR = {
     "ethanol": 46.07,
@@ -40,10 +39,10 @@ class GadenRun:
     def __init__(self, folder: Path, gas: str = "") -> None:
         self._folder = folder
         numbers = sorted(_numbered(folder, "iteration"))
+        if numbers[:1] != [0]:
+            raise ValueError(f"{folder}: no iteration_0; wanted iteration_0, iteration_1, …")
         if missing := next((n for n, number in enumerate(numbers) if n != number), None):
             raise ValueError(f"{folder}: no iteration_{missing}, but iteration_{numbers[-1]}; wanted all")
-        if numbers[:1] != [0] or len(numbers) > MOST_ITERATIONS:
-            raise ValueError(f"{folder}: no iteration_0; wanted iteration_0, iteration_1, …")
         first = self._first = read(folder / "iteration_0")
         self._grid = first.grid
         self._low = np.array(first.grid.low)

@@ -81,7 +81,8 @@ def wind(path: Path, grid: Grid) -> NDArray[np.float32]:
         size = path.stat().st_size
         if size not in (new, old):
             raise ValueError(
-                f"{path}: {size:,} bytes; wanted {new:,} for {grid.total:,} cells, or {old:,} as once"
+                f"{path}: {size:,} bytes; wanted {new:,}, or {old:,} of the old kind, for "
+                f"{grid.total:,} cells"
             )
         data = path.read_bytes()
     except OSError as error:

@@ -22,8 +22,7 @@ COMPRESSORS = ("blosc", "zlib", "gzip", "zstd")
 BLOSC_HEAD = struct.Struct("<4B3I")  # versions, flags, size of an item; bytes of the content, a block, all
 PAIRS = ("pixel_to_grid", "origin", "extent")
 READ = {"fps", *PAIRS, "source_location_px", "source_location_px_is_heuristic", "schema_version", "dims"}
-Number = float | int
-Pair = Number | tuple[Number, Number]
+Pair = float | tuple[float, float]
 
 
 class MovieAttributes(msgspec.Struct):
@@ -44,7 +43,7 @@ class ChunkedArray(msgspec.Struct):
     chunks: tuple[int, int, int]
     dtype: str
     compressor: dict[str, Any] | None
-    fill_value: float | int | str | None
+    fill_value: float | str | None
     order: str
     filters: list[Any] | None = None
     dimension_separator: str = "."
@@ -135,7 +134,11 @@ class Chunked:
                 case "blosc":
                     return _unblosc(data, self._chunk_bytes)
                 case "zlib":
-                    return zlib.decompressobj().decompress(data, most)
+                    stream = zlib.decompressobj()
+                    content = stream.decompress(data, most)
+                    if len(content) < most and not stream.eof:
+                        raise ValueError("the stream is cut off")
+                    return content
                 case "gzip":
                     return gzip.GzipFile(fileobj=io.BytesIO(data)).read(most)
                 case "zstd":
