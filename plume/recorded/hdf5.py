@@ -3,6 +3,7 @@
 The file is opened for each read, so that no handle outlives it or goes through a fork.
 """
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -128,7 +129,8 @@ def told(path: Path) -> MovieSidecar:
     if path.stat().st_size > LONGEST:
         raise ValueError(f"{path}: {path.stat().st_size:,} bytes; wanted at most {LONGEST:,}")
     try:
-        value = YAML(typ="safe", pure=True).load(path.read_bytes())
+        with warnings.catch_warnings(action="ignore"):  # of anchors that are defined twice
+            value = YAML(typ="safe", pure=True).load(path.read_bytes())
     except Exception as error:  # ruamel raises many kinds
         raise ValueError(f"{path}: not valid YAML: {one_line(error)}") from None
     try:

@@ -208,7 +208,8 @@ def checked(grid: Grid, where: str) -> Grid:
 def _filaments(cursor: _Cursor, kind: np.dtype[Any], count: int | None = None) -> Array:
     items = cursor.items(kind, "filament", count)
     filaments = np.empty((len(items), 4))
-    filaments[:, :3], filaments[:, 3] = items["place"], items["sigma"]
+    with np.errstate(invalid="ignore"):  # of signalling NaNs
+        filaments[:, :3], filaments[:, 3] = items["place"], items["sigma"]
     good = np.isfinite(filaments).all(axis=1) & (np.abs(filaments) < 1e9).all(axis=1) & (filaments[:, 3] > 0)
     if not good.all():
         number = int(np.argmin(good))

@@ -89,7 +89,8 @@ class Movie:
             block = self._blocks[number]
             frame = frames[those] - number * together
             for corner, (row, column) in enumerate(((low, left), (low, right), (high, left), (high, right))):
-                corners[corner, those] = block[frame, row[those], column[those]]
+                with np.errstate(invalid="ignore"):  # of signalling NaNs
+                    corners[corner, those] = block[frame, row[those], column[those]]
         corners = np.where(np.isfinite(corners), np.maximum(corners, 0.0), 0.0)
         lower, upper = blend(corners[0], corners[1], share_x), blend(corners[2], corners[3], share_x)
         return np.where(inside_x & inside_y, blend(lower, upper, share_y), 0.0)

@@ -1,5 +1,6 @@
 """Movies of olfactory-navigation as NumPy files: one array (t, y, x), mapped into memory."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ class Mapped:
         with path.open("rb") as file:
             try:
                 head = HEADS[np.lib.format.read_magic(file)]
-                shape, fortran, dtype = head(file)
+                with warnings.catch_warnings(action="ignore"):  # of files that Python 2 wrote
+                    shape, fortran, dtype = head(file)
             except Exception:  # the head is Python text, and parsing that can raise anything
                 raise ValueError(f"{path}: head: not that of an array; wanted a .npy file") from None
             begin = file.tell()

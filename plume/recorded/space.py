@@ -93,7 +93,8 @@ def wind(path: Path, grid: Grid) -> NDArray[np.float32]:
             raise ValueError(f"{path}: version: {major}.{minor}; wanted 2.x or 3.x")
         air = np.frombuffer(data, "<f4", offset=8).reshape(grid.total, 3)
     else:
-        air = np.frombuffer(data, "<f8").reshape(3, grid.total).T.astype(np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused below
+            air = np.frombuffer(data, "<f8").reshape(3, grid.total).T.astype(np.float32)
     if not (np.abs(air) < 1e6).all():  # false of NaN, too
         cell = int(np.argmin((np.abs(air) < 1e6).all(axis=1)))
         raise ValueError(f"{path}: wind of cell {cell}: {air[cell].tolist()}; wanted numbers below 1e6")

@@ -99,7 +99,8 @@ class Chunked:
     def read(self, first: int, count: int) -> Pixels:
         """Return frames; those of a chunk that is not there have the fill value."""
         deep, high, wide = self._said.chunks
-        frames: Pixels = np.full((count, *self.shape[1:]), self._fill, self._dtype.newbyteorder("="))
+        with np.errstate(over="ignore", invalid="ignore"):
+            frames: Pixels = np.full((count, *self.shape[1:]), self._fill, self._dtype.newbyteorder("="))
         for number in range(first // deep, (first + count - 1) // deep + 1):
             for row, column in product(range(self._rows), range(self._columns)):
                 chunk = self._chunk(number, row, column)

@@ -218,7 +218,7 @@ def zarr(
         chunk[tuple(map(slice, part.shape))] = part
         path = inside / separator.join(map(str, number))
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(compressed(chunk.tobytes(order=order), compressor))  # type: ignore[arg-type]
+        path.write_bytes(compressed(chunk.tobytes(order=order), compressor))
     return folder
 
 
