@@ -60,7 +60,7 @@ class Footage(Protocol):
         """Return which cells (y, x) are no air at this height; None if the file has none."""
 
 
-class Recent(Generic[T]):
+class LastRead(Generic[T]):
     """What was read last, by its number, up to so many bytes; the newest is kept whatever its size."""
 
     def __init__(self, read: Callable[[int], T], size: Callable[[T], int], most: int = KEPT_BYTES) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.elementary import Array, Indices
-from plume.recorded.footage import MOST_BYTES, PPM, Facts, Recent
+from plume.recorded.footage import MOST_BYTES, PPM, Facts, LastRead
 from plume.recorded.iteration import Grid, Moment, read
 from plume.recorded.space import FREE, Cells, occupancy, wind
 
@@ -52,8 +52,8 @@ class GadenRun:
         if first.filaments is not None and self._cells is None:
             raise ValueError(f"{folder}: no {OCCUPANCY} here or in the {ABOVE} folders above; wanted it")
         self._winds = next((found for place in places if (found := _numbered(place / "wind", ""))), {})
-        self._moments = Recent(self._moment, _size)
-        self._airs = Recent(lambda number: wind(self._winds[number], self._grid), lambda air: air.nbytes)
+        self._moments = LastRead(self._moment, _size)
+        self._airs = LastRead(lambda number: wind(self._winds[number], self._grid), lambda air: air.nbytes)
         gas = gas or first.gas
         if gas not in (*MOLAR, ""):
             raise ValueError(f"gas: {gas!r}; wanted {', '.join(MOLAR)}")

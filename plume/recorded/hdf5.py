@@ -13,7 +13,7 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from plume.recorded.footage import MOST_BYTES, one_line
-from plume.recorded.movies import Layout, Movie, Pixels, checked
+from plume.recorded.movies import Movie, PixelGrid, Pixels, checked
 
 SIDECAR = ".plume-movie.yaml"
 LONGEST = 64 * 2**10  # bytes of a sidecar
@@ -104,7 +104,7 @@ def movie(path: Path) -> Movie:
     if path.with_name(path.name + SIDECAR).exists():
         return _with_sidecar(path)
     reel = Numbered(path)
-    return Movie("movie of olfactory-navigation (.h5)", reel, Layout(), unread=reel.unread)
+    return Movie("movie of olfactory-navigation (.h5)", reel, PixelGrid(), unread=reel.unread)
 
 
 def _with_sidecar(path: Path) -> Movie:
@@ -121,7 +121,7 @@ def _with_sidecar(path: Path) -> Movie:
         length = "m" if said.spatial_unit in METRES else said.spatial_unit
         pixel = metres / per[1], metres / per[0]
     reel = Stacked(path, said.h5_dataset)
-    return Movie("movie of plume_nav_sim (.h5)", reel, Layout(pixel, length=length, fps=said.fps))
+    return Movie("movie of plume_nav_sim (.h5)", reel, PixelGrid(pixel, length=length, fps=said.fps))
 
 
 def told(path: Path) -> MovieSidecar:

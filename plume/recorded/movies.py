@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.elementary import Array, Indices
-from plume.recorded.footage import MOST_BYTES, Facts, Recent, between, blend
+from plume.recorded.footage import MOST_BYTES, Facts, LastRead, between, blend
 
 OWN = "of its own unit"
 Pixels = NDArray[np.generic]
@@ -29,7 +29,7 @@ class Reel(Protocol):
 
 
 @dataclass(frozen=True)
-class Layout:
+class PixelGrid:
     """Where the pixels of a movie lie: the centre of row j and column i is at origin + (i, j) · pixel."""
 
     pixel: tuple[float, float] = (1.0, 1.0)  # (x, y)
@@ -49,36 +49,36 @@ class Movie:
         self,
         kind: str,
         reel: Reel,
-        layout: Layout,
+        grid: PixelGrid,
         remarks: tuple[str, ...] = (),
         unread: tuple[str, ...] = (),
     ) -> None:
-        self._reel, self._layout = reel, layout
+        self._reel, self._grid = reel, grid
         frames, *size = reel.shape
         rows, columns = size
-        (width, height), (x, y) = layout.pixel, layout.origin
+        (width, height), (x, y) = grid.pixel, grid.origin
         self.facts = Facts(
             kind,
             frames,
-            layout.fps,
+            grid.fps,
             (columns, rows),
-            layout.pixel,
+            grid.pixel,
             (x - width / 2, y - height / 2),
             (x + (columns - 0.5) * width, y + (rows - 0.5) * height),
-            layout.length,
+            grid.length,
             OWN,
             None,
-            layout.source,
+            grid.source,
             False,
             remarks,
             unread,
         )
-        self._blocks = Recent(self._block, lambda block: block.nbytes)
+        self._blocks = LastRead(self._block, lambda block: block.nbytes)
 
     def gas(self, places: Array, frames: Indices) -> Array:
         """Return concentrations, as of `Footage`."""
         _, rows, columns = self._reel.shape
-        (width, height), (x, y) = self._layout.pixel, self._layout.origin
+        (width, height), (x, y) = self._grid.pixel, self._grid.origin
         left, right, share_x, inside_x = between((places[:, 0] - x) / width, columns)
         low, high, share_y, inside_y = between((places[:, 1] - y) / height, rows)
         corners = np.empty((4, len(places)))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from plume.recorded.movies import Layout, Movie, Pixels, checked
+from plume.recorded.movies import Movie, PixelGrid, Pixels, checked
 
 # The readers of a file's head, by its format's version. Version 3 is for names that no movie has.
 HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -40,4 +40,4 @@ class Mapped:
 
 def movie(path: Path) -> Movie:
     """Return the movie in a .npy file. Raises ValueError."""
-    return Movie("movie of olfactory-navigation (.npy)", Mapped(path), Layout())
+    return Movie("movie of olfactory-navigation (.npy)", Mapped(path), PixelGrid())

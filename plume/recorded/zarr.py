@@ -13,7 +13,7 @@ import numpy as np
 import zstandard
 
 from plume.recorded.footage import MOST_BYTES, one_line
-from plume.recorded.movies import Layout, Movie, Pixels, checked
+from plume.recorded.movies import Movie, PixelGrid, Pixels, checked
 
 NAME = "concentration"
 LONGEST = 1 << 20  # bytes of a JSON file
@@ -190,7 +190,7 @@ def movie(folder: Path) -> Movie:
     return Movie(
         "movie of plume_nav_sim (Zarr 2)",
         reel,
-        Layout(pixel[::-1], origin[::-1], "units of its grid", said.fps, place),
+        PixelGrid(pixel[::-1], origin[::-1], "units of its grid", said.fps, place),
         remarks=("where the source is, is a guess, it says",)
         if attributes.get("source_location_px_is_heuristic")
         else (),

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from plume.recorded.footage import Recent
+from plume.recorded.footage import LastRead
 from plume.recorded.opening import opened
 from tests.plume.recorded import writers
 
@@ -183,7 +183,7 @@ def test_only_so_much_of_a_movie_stays_in_memory() -> None:
         read.append(which)
         return which
 
-    recent = Recent(number, lambda _: 10, most=30)
+    recent = LastRead(number, lambda _: 10, most=30)
     assert [recent[which] for which in (1, 2, 3, 1, 4, 1, 2)] == [1, 2, 3, 1, 4, 1, 2]
     assert read == [1, 2, 3, 4, 2]  # 2 was the longest unasked for when 4 came; then 3 went
 
