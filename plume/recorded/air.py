@@ -185,7 +185,7 @@ def _stamp(path: Path) -> tuple[int, int]:
     return found.st_mtime_ns, found.st_size
 
 
-@lru_cache(8)
+@lru_cache(4)
 def _opened(path: Path, gas: str, _changed_ns: int, _size: int) -> Footage:
     """Open a file once for the many missions that are flown in it."""
     return opened(path, gas)

@@ -3,6 +3,8 @@ the seed and goes round, and every answer has the same bits whatever is asked be
 """
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -245,3 +247,13 @@ def test_a_file_that_has_changed_is_read_anew(movie: Path) -> None:
     writers.npy(movie, frames)
     after = gas_at(recorded(SCENARIO, 1, file=str(movie), **TOLD), (12.0, 15.0), 0.0)
     assert after == pytest.approx(10 * before)
+
+
+def test_a_movie_is_flown_in_without_the_compiler(movie: Path) -> None:
+    code = (
+        "import sys, numpy as np; from plume.recorded.air import recorded; from plume.scenario import draw\n"
+        f"air = recorded(draw(1), 1, file={str(movie)!r}, **{TOLD})\n"
+        "air(np.zeros((1, 3)), np.zeros(1)); print({'numba', 'h5py', 'numcodecs', 'scipy'} & set(sys.modules))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert ran.stdout == "set()\n"

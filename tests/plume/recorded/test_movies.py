@@ -6,6 +6,7 @@ import json
 import re
 import struct
 import sys
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -426,3 +427,23 @@ def test_json_that_is_none(tmp_path: Path) -> None:
     assert refused(folder) == "/.zattrs: 2,000,002 bytes; wanted at most 1,048,576"
     (folder / ".zattrs").unlink()
     assert refused(folder) == "/.zattrs: No such file or directory"
+
+
+def test_a_movie_of_gigabytes_is_read_frame_by_frame(tmp_path: Path) -> None:
+    """The files have holes where nothing was written: they take no room here."""
+    import h5py
+
+    head = "{'descr': '<f4', 'fortran_order': False, 'shape': (2048, 1024, 1024), }".ljust(117) + "\n"
+    with (tmp_path / "m.npy").open("wb") as file:
+        file.write(b"\x93NUMPY\1\0" + struct.pack("<H", len(head)) + head.encode())
+        file.truncate(128 + 2048 * 2**22)
+    with h5py.File(tmp_path / "m.h5", "w") as file:
+        file.create_dataset("movie", (2048, 1024, 1024), "<f4", chunks=(4, 512, 512), fillvalue=2.5)
+    (tmp_path / "m.h5.plume-movie.yaml").write_text("{fps: 1, spatial_unit: pixel, h5_dataset: movie}")
+    tracemalloc.start()
+    for name, gas in (("m.npy", 0.0), ("m.h5", 2.5)):
+        footage = opened(tmp_path / name)
+        assert {at(footage, 500.5, 300.0, frame) for frame in range(0, 2048, 50)} == {gas}
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 200 * 2**20  # of 8 GiB
