@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.elementary import Array, Indices
-from plume.recorded.footage import MOST_BYTES, PPM, Facts, LastRead
+from plume.recorded.footage import PPM, Facts, LastRead
 from plume.recorded.iteration import Grid, Moment, read
 from plume.recorded.space import FREE, Cells, occupancy, wind
 
@@ -71,20 +71,20 @@ class GadenRun:
             if path.name not in ("wind", OCCUPANCY) and not re.fullmatch(r"iteration_\d+", path.name)
         ]
         self.facts = Facts(
-            f"results of GADEN {first.version}, {mode}",
-            len(numbers),
-            None,
-            self._grid.cells,
-            (self._grid.side,) * 3,
-            self._grid.low,
-            self._grid.high,
-            "m",
-            PPM,
-            first.air * MOLAR[gas] if gas else None,
-            first.source,
-            bool(self._winds),
-            tuple(remarks),
-            tuple(unread),
+            kind=f"results of GADEN {first.version}, {mode}",
+            frames=len(numbers),
+            fps=None,
+            cells=self._grid.cells,
+            cell=(self._grid.side,) * 3,
+            low=self._grid.low,
+            high=self._grid.high,
+            length="m",
+            unit=PPM,
+            grams=first.air * MOLAR[gas] if gas else None,
+            source=first.source,
+            windy=bool(self._winds),
+            remarks=tuple(remarks),
+            unread=tuple(unread),
         )
 
     def gas(self, places: Array, frames: Indices) -> Array:
@@ -170,6 +170,4 @@ def _numbered(folder: Path, name: str) -> dict[int, Path]:
 
 
 def _size(moment: Moment) -> int:
-    return (
-        sum(part.nbytes for part in (moment.filaments, moment.ppm) if part is not None) + MOST_BYTES // 2**16
-    )
+    return sum(part.nbytes for part in (moment.filaments, moment.ppm) if part is not None) + 1024

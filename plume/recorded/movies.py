@@ -58,20 +58,20 @@ class Movie:
         rows, columns = size
         (width, height), (x, y) = grid.pixel, grid.origin
         self.facts = Facts(
-            kind,
-            frames,
-            grid.fps,
-            (columns, rows),
-            grid.pixel,
-            (x - width / 2, y - height / 2),
-            (x + (columns - 0.5) * width, y + (rows - 0.5) * height),
-            grid.length,
-            OWN,
-            None,
-            grid.source,
-            False,
-            remarks,
-            unread,
+            kind=kind,
+            frames=frames,
+            fps=grid.fps,
+            cells=(columns, rows),
+            cell=grid.pixel,
+            low=(x - width / 2, y - height / 2),
+            high=(x + (columns - 0.5) * width, y + (rows - 0.5) * height),
+            length=grid.length,
+            unit=OWN,
+            grams=None,
+            source=grid.source,
+            windy=False,
+            remarks=remarks,
+            unread=unread,
         )
         self._blocks = LastRead(self._block, lambda block: block.nbytes)
 
