@@ -50,14 +50,13 @@ class Steady:
 
     def __call__(self, places: Array, _times_s: Array) -> tuple[Array, Array]:
         """Return gas and wind, as of `Air`."""
-        return steady([self], places)
+        return gas_of([self], places), np.broadcast_to(self.release[3:5], (len(places), 2))
 
 
-def steady(plumes: Sequence[Steady], places: Array) -> tuple[Array, Array]:
-    """Return gas and wind, as of `Air`, at one place of each plume, or at all places of a single one."""
+def gas_of(plumes: Sequence[Steady], places: Array) -> Array:
+    """Return the gas, as of `Air`, at one place of each plume, or at all places of a single one."""
     releases = np.array([plume.release for plume in plumes])
     rate, diffusivity, lifetime = releases[:, 5:].T
-    gas = concentration(
+    return concentration(
         places, releases[:, :3], releases[:, 3:5], rate=rate, diffusivity=diffusivity, lifetime=lifetime
     )
-    return gas, np.broadcast_to(releases[:, 3:5], (len(places), 2))
