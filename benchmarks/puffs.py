@@ -15,12 +15,9 @@ import time
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
-from scipy import optimize, special  # type: ignore[import-untyped]
 
 from agent.learn.env import SourceSearchVector
 from benchmarks.env import USUAL, Flight, side_by_side, speeds
@@ -32,8 +29,9 @@ from plume.flight import usual_s
 from plume.scenario import AS_MODELLED, Scenario
 from plume.worlds.names import named
 from plume.worlds.world import World
-from scene.drawing import INK, STYLE, ticks
 
+if TYPE_CHECKING:  # it takes long to import
+    from matplotlib.figure import Figure
 ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "results" / "puffs" / "figures.csv"
 PAGE = ROOT / "docs" / "worlds.md"
@@ -72,6 +70,8 @@ class Law(NamedTuple):
 
     def below(self, gas: Array) -> Array:
         """Probability of no more than this gas."""
+        from scipy import special  # type: ignore[import-untyped]
+
         return np.asarray(special.gammainc(self.shape, (gas + self.shift) / self.scale))
 
 
@@ -99,6 +99,8 @@ def law(cv: float, present: float = 1.0) -> Law:
     Yee and Chan take that from the second moment; here it is what was measured. The plain gamma law is the
     one with `present` 1. Raises ValueError if there is none.
     """
+    from scipy import optimize, special
+
     if present == 1.0:
         return Law(1 / cv**2, cv**2, 0.0)
 
@@ -257,6 +259,10 @@ def page(text: str, rows: Sequence[Row]) -> str:
 
 def write(rows: Sequence[Row], document: Path) -> None:
     """Write the page's table, and the picture beside it."""
+    import matplotlib
+
+    from scene.drawing import STYLE
+
     text = page(document.read_text(), rows)
     with whole(document) as partial:
         partial.write_text(text)
@@ -264,8 +270,12 @@ def write(rows: Sequence[Row], document: Path) -> None:
         picture(rows).savefig(partial, format="png", dpi=DPI)
 
 
-def picture(rows: Sequence[Row]) -> Figure:
+def picture(rows: Sequence[Row]) -> "Figure":
     """Draw intermittency and fluctuation against distance, the law at one place, and the fourth moment."""
+    from matplotlib.figure import Figure
+
+    from scene.drawing import INK, ticks
+
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     (present, cv), (more, moments) = figure.subplots(2, 2)
     skewness = np.geomspace(0.2, 45.0, 50)
@@ -321,33 +331,21 @@ def reading_ms() -> tuple[float, float]:
 
 def speed() -> str:
     """Return a table of what puffs cost, in one run."""
-    puffs_ms, modelled_ms = reading_ms()
     flights: dict[str, Flight] = {
         name: partial(side_by_side, SourceSearchVector(BATCH, particles=USUAL, world=name), BATCH)
         for name in ("puffs", AS_MODELLED)
     }
     for flight in flights.values():
         flight()
-    said = speeds(flights)
-    ratio = said["puffs"] / said[AS_MODELLED]
+    said, (puffs_ms, modelled_ms) = speeds(flights), reading_ms()
+    steps, modelled_steps = said.values()
+    lines = (
+        (f"a reading, {CROWD} puffs in the air, ms", puffs_ms, modelled_ms, f"{LIMIT_MS:g} ms at most"),
+        (f"steps a second, {BATCH} missions", steps, modelled_steps, f"a ratio of {LEAST_RATIO:g}"),
+    )
     return table(
         ["", "puffs", AS_MODELLED, "ratio", "wanted"],
-        [
-            [
-                f"a reading, {CROWD} puffs in the air, ms",
-                f"{puffs_ms:.3f}",
-                f"{modelled_ms:.3f}",
-                f"{puffs_ms / modelled_ms:.2f}",
-                f"at most {LIMIT_MS:g} ms",
-            ],
-            [
-                f"steps a second, {BATCH} missions side by side, N = {USUAL}",
-                f"{said['puffs']:,.0f}",
-                f"{said[AS_MODELLED]:,.0f}",
-                f"{ratio:.2f}",
-                f"ratio {LEAST_RATIO:g} at least",
-            ],
-        ],
+        [[it, f"{a:,.4g}", f"{b:,.4g}", f"{a / b:.2f}", wanted] for it, a, b, wanted in lines],
     )
 
 
