@@ -38,11 +38,12 @@ class Steady:
     """The paper's plume: the mean gas in a steady wind."""
 
     def __init__(self, scenario: Scenario, _seed: int) -> None:
+        self.wind = scenario.wind
         # x, y, z of the source, the wind, q, d, τ
         self.release = (
             *scenario.source,
             scenario.height,
-            *scenario.wind,
+            *self.wind,
             scenario.q,
             scenario.d,
             scenario.tau,
@@ -50,7 +51,7 @@ class Steady:
 
     def __call__(self, places: Array, _times_s: Array) -> tuple[Array, Array]:
         """Return gas and wind, as of `Air`."""
-        return gas_of([self], places), np.broadcast_to(self.release[3:5], (len(places), 2))
+        return gas_of([self], places), np.broadcast_to(self.wind, (len(places), 2))
 
 
 def gas_of(plumes: Sequence[Steady], places: Array) -> Array:

@@ -63,12 +63,13 @@ class World:
             tau=wrong.tau * scenario.tau,
         )
         self.air = chosen.air(self.truth, seed)
-        self.wind: WindVector = (float32(scenario.wind[0]), float32(scenario.wind[1]))
+        told = scenario.wind
+        self.wind: WindVector = (float32(told[0]), float32(told[1]))
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
-        # What turns the true wind into the measured one, and the one measured in a steady wind.
-        cosine, sine = direction(wrong.direction_deg / 360.0)
+        # What turns the true wind into the measured one; and that one, where the wind is steady.
+        cosine, sine = direction(wrong.direction_deg / 360.0) if wrong.direction_deg else (1.0, 0.0)
         self._anemometer = float(cosine), float(sine), wrong.speed
-        self._steady = self._measured(*self.truth.wind)
+        self._steady = self._measured(*self.air.wind) if isinstance(self.air, Steady) else None
         self._instrument = sensor, wrong.cv is None
         if wrong.noise != 1 and not isinstance(sensor, Hits):
             noisy = replace(
