@@ -383,7 +383,7 @@ def main() -> None:
         if not any(row.world == world for row in rows):
             rows += rows_of(world, args.missions)
             keep(rows, args.results)
-    write(rows, args.page)
+    write(read(args.results), args.page)  # as they are kept, to six digits
     print(args.page)
 
 
