@@ -15,7 +15,7 @@ from plume.flight import usual_s
 from plume.randomness import Abreast, Keyed
 from plume.scenario import AS_MODELLED, Scenario
 from plume.sensor import GAUSSIAN, Hits, Sensor, Threshold
-from plume.worlds.air import Steady, WorldError, steady
+from plume.worlds.air import Steady, WorldError, gas_of
 from plume.worlds.names import named
 
 WindVector = tuple[float, float]  # (u cos φ, u sin φ) m/s, float32: points to where it comes from
@@ -63,11 +63,13 @@ class World:
             tau=wrong.tau * scenario.tau,
         )
         self.air = chosen.air(self.truth, seed)
-        self.wind: WindVector = (float32(scenario.wind[0]), float32(scenario.wind[1]))
+        told = scenario.wind
+        self.wind: WindVector = (float32(told[0]), float32(told[1]))
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
-        # What turns the true wind into the measured one, and the sensor's gain.
-        cosine, sine = direction(wrong.direction_deg / 360.0)
-        self._instruments = float(cosine), float(sine), wrong.speed, wrong.gain
+        # What turns the true wind into the measured one; and that one, where the wind is steady.
+        cosine, sine = direction(wrong.direction_deg / 360.0) if wrong.direction_deg else (1.0, 0.0)
+        self._anemometer = float(cosine), float(sine), wrong.speed
+        self._steady = self._measured(*self.air.wind) if isinstance(self.air, Steady) else None
         self._instrument = sensor, wrong.cv is None
         if wrong.noise != 1 and not isinstance(sensor, Hits):
             noisy = replace(
@@ -93,6 +95,14 @@ class World:
         at_s = usual_s(step) if time_s is None else time_s
         gas, winds = readings_of([self], np.array([position]), [step], np.array([at_s]), self._noise)
         return gas.tolist()[0], tuple(winds[0].tolist())
+
+    def _measured(self, east: float, north: float) -> WindVector:
+        """Return what the anemometer reads of the true wind, m/s."""
+        cosine, sine, speed = self._anemometer
+        return (
+            float32((cosine * east + sine * north) / speed),
+            float32((cosine * north - sine * east) / speed),
+        )
 
     def loses(self, step: int) -> bool:
         """Whether reading number `step` has no value at first.
@@ -159,48 +169,36 @@ def readings_of(
     """
     places = np.zeros((len(worlds), 3))
     places[:, :2] = positions
-    there, winds = _air(worlds, places, times_s)
-    cosine, sine, speed, gain = np.array([world._instruments for world in worlds]).T
-    means = there * gain
-    winds = np.stack(
-        [
-            (cosine * winds[:, 0] + sine * winds[:, 1]) / speed,
-            (cosine * winds[:, 1] - sine * winds[:, 0]) / speed,
-        ],
-        axis=1,
-    )
+    gas, winds = _air(worlds, places, times_s)
+    means = gas * [world.errors.gain for world in worlds]
     readings = np.empty(len(worlds))
     alike: dict[tuple[Sensor, bool], list[int]] = {}
     for number, world in enumerate(worlds):
         alike.setdefault(world._instrument, []).append(number)
     for (sensor, gas_as_told), those in alike.items():
         draws = Abreast(noise, [(worlds[i].seed, "sensor", steps[i]) for i in those])
-        gas = None if gas_as_told else means[those] * [worlds[i]._strength(steps[i], noise) for i in those]
-        readings[those] = sensor.measure(means[those], draws, gas)
+        drawn = None if gas_as_told else means[those] * [worlds[i]._strength(steps[i], noise) for i in those]
+        readings[those] = sensor.measure(means[those], draws, drawn)
     for number, (world, step) in enumerate(zip(worlds, steps, strict=True)):
         if step >= world.errors.stuck_from:
             readings[number] = world._stuck(step, noise)
-    return as_float32(readings), as_float32(winds)
-
-
-def as_float32(values: Array) -> Array:
-    """Round to the nearest float32 each."""
-    return values.astype(np.float32).astype(np.float64)
+    return readings.astype(np.float32).astype(np.float64), winds
 
 
 def _air(worlds: Sequence[World], places: Array, times_s: Array) -> tuple[Array, Array]:
-    """Return the gas (M,) and the true wind (M, 2), each at one place of a world."""
+    """Return the gas (M,) and the measured wind (M, 2), float32 values, each at one place of a world."""
     plumes = [world.air for world in worlds if isinstance(world.air, Steady)]
     if len(plumes) == len(worlds):
-        return steady(plumes, places)
+        return gas_of(plumes, places), np.array([world._steady for world in worlds])
     gas, winds = np.empty(len(worlds)), np.empty((len(worlds), 2))
     for i, world in enumerate(worlds):
-        gas[i], winds[i] = _asked(world, places[i : i + 1], times_s[i : i + 1])
+        gas[i], wind = _asked(world, places[i : i + 1], times_s[i : i + 1])
+        winds[i] = world._measured(*wind)
     return gas, winds
 
 
-def _asked(world: World, places: Array, times_s: Array) -> tuple[float, Array]:
-    """Return the gas and the true wind (2,) at one place. Raises WorldError: it may be anybody's code."""
+def _asked(world: World, places: Array, times_s: Array) -> tuple[float, tuple[float, float]]:
+    """Return the gas and the true wind at one place. Raises WorldError: it may be anybody's code."""
     try:
         gas, winds = world.air(places, times_s)
         amount, wind = np.asarray(gas, np.float64).reshape(()), np.asarray(winds, np.float64).reshape(2)
@@ -215,4 +213,5 @@ def _asked(world: World, places: Array, times_s: Array) -> tuple[float, Array]:
             f"world {world.name} said gas {amount:g} and wind {wind.tolist()}; wanted gas from 0, in g/m³, "
             "and finite numbers"
         )
-    return float(amount), wind
+    east, north = wind.tolist()
+    return float(amount), (east, north)
