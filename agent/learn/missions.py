@@ -10,7 +10,7 @@ from estimator.batch import Batch
 from estimator.criterion import Criterion
 from estimator.filter import Config
 from plume.elementary import Array, Indices
-from plume.flight import TRY_AGAIN_S, leg_s
+from plume.flight import TRY_AGAIN_S, profile
 from plume.randomness import Keyed, derived_seed
 from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M, draw
 from plume.worlds.world import World, readings_of
@@ -71,12 +71,13 @@ class Missions:
         waypoints: (B, 2) m, float32 values within the area.
         """
         self.steps += 1
-        legs_s = leg_s(self.positions, waypoints)
+        lengths_m = np.sqrt(np.square(waypoints - self.positions).sum(axis=1))
+        legs_s = profile(lengths_m).duration_s
         if self._loses:
             steps = self.steps.tolist()
             legs_s += [TRY_AGAIN_S * self.worlds[i].loses(step) for i, step in enumerate(steps)]
         self.times_s += legs_s
-        self.distances_m += np.sqrt(np.square(waypoints - self.positions).sum(axis=1))
+        self.distances_m += lengths_m
         self.positions[:] = waypoints
         self._read(np.arange(len(self.steps)))
 

@@ -38,11 +38,12 @@ class Steady:
     """The paper's plume: the mean gas in a steady wind."""
 
     def __init__(self, scenario: Scenario, _seed: int) -> None:
+        self.wind = scenario.wind
         # x, y, z of the source, the wind, q, d, τ
         self.release = (
             *scenario.source,
             scenario.height,
-            *scenario.wind,
+            *self.wind,
             scenario.q,
             scenario.d,
             scenario.tau,
@@ -50,14 +51,13 @@ class Steady:
 
     def __call__(self, places: Array, _times_s: Array) -> tuple[Array, Array]:
         """Return gas and wind, as of `Air`."""
-        return steady([self], places)
+        return gas_of([self], places), np.broadcast_to(self.wind, (len(places), 2))
 
 
-def steady(plumes: Sequence[Steady], places: Array) -> tuple[Array, Array]:
-    """Return gas and wind, as of `Air`, at one place of each plume, or at all places of a single one."""
+def gas_of(plumes: Sequence[Steady], places: Array) -> Array:
+    """Return the gas, as of `Air`, at one place of each plume, or at all places of a single one."""
     releases = np.array([plume.release for plume in plumes])
     rate, diffusivity, lifetime = releases[:, 5:].T
-    gas = concentration(
+    return concentration(
         places, releases[:, :3], releases[:, 3:5], rate=rate, diffusivity=diffusivity, lifetime=lifetime
     )
-    return gas, np.broadcast_to(releases[:, 3:5], (len(places), 2))

@@ -40,6 +40,10 @@ class Errors(NamedTuple):
     # False readings, which last one reading each: the number of the reading, and the amount that it is too
     # high by, g/m³ or hits. Nothing shows of them in a stuck sensor.
     spikes: tuple[tuple[int, float], ...] = ()
+    # Standard deviations of an anemometer's errors in each reading: of the direction, and of the speed as a
+    # share of it.
+    wind_std_deg: float = 0.0
+    wind_std: float = 0.0
 
 
 FACTORS = frozenset({"speed", "q", "d", "tau", "gain", "noise"})  # errors that multiply
@@ -102,6 +106,10 @@ WRONG: dict[str, Wrong] = {
     ),
     "speed-low": Wrong("true wind speed 0.7 times the measured one", lambda _: Errors(speed=0.7)),
     "speed-high": Wrong("true wind speed 1.4 times the measured one", lambda _: Errors(speed=1.4)),
+    "wind-noisy": Wrong(
+        "an anemometer that errs by 10° and 10% of the speed in each reading",
+        lambda _: Errors(wind_std_deg=10.0, wind_std=0.1),
+    ),
     "noise-doubled": Wrong(
         "twice the sensor noise, α and β; a count of hits has none", lambda _: Errors(noise=2.0)
     ),

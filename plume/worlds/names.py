@@ -16,7 +16,10 @@ from plume.worlds.air import Air, Make, Steady
 from plume.worlds.errors import WRONG, Errors, combined
 
 # Where the gas of each kind is made. It is loaded when it is first asked for.
-GASES = {"puffs": "plume.worlds.puffs:puffs"}
+GASES = {
+    "puffs": "plume.worlds.puffs:puffs",
+    "recorded": "plume.recorded.air:recorded",
+}
 OURS = (AS_MODELLED, *GASES, *WRONG)  # of which the project's own worlds are made
 PLUGINS = "plumeward.worlds"  # entry points of this group are worlds of other packages: docs/worlds.md
 # What the flag --world means.

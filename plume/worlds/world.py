@@ -17,7 +17,7 @@ from plume.scenario import AS_MODELLED, Scenario
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import GAUSSIAN, Sensor
 from plume.sensors.sensor import Hits, Threshold
-from plume.worlds.air import Steady, WorldError, steady
+from plume.worlds.air import Steady, WorldError, gas_of
 from plume.worlds.exposure import Before, is_timed, met
 from plume.worlds.names import named
 
@@ -67,22 +67,24 @@ class World:
             tau=wrong.tau * scenario.tau,
         )
         self.air = chosen.air(self.truth, seed)
-        self.wind: WindVector = (float32(scenario.wind[0]), float32(scenario.wind[1]))
+        told = scenario.wind
+        self.wind: WindVector = (float32(told[0]), float32(told[1]))
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
-        # What turns the true wind into the measured one, and the sensor's gain.
-        cosine, sine = direction(wrong.direction_deg / 360.0)
-        self._instruments = float(cosine), float(sine), wrong.speed, wrong.gain
+        # What turns the true wind into the measured one; and that one, where the wind is steady.
+        cosine, sine = direction(wrong.direction_deg / 360.0) if wrong.direction_deg else (1.0, 0.0)
+        self._anemometer = float(cosine), float(sine), wrong.speed
+        self._steady = self._measured(*self.air.wind) if isinstance(self.air, Steady) else None
         # Of an instrument, gas that fluctuates is drawn before its element follows it.
+        of_time = isinstance(sensor, Instrument)
         self._cv = sensor.cv if wrong.cv is None and isinstance(sensor, Instrument) else wrong.cv
-        as_told = wrong.cv is None or isinstance(sensor, Instrument)
-        self._instrument = sensor, as_told
+        self._instrument = sensor, wrong.cv is None or of_time
         if wrong.noise != 1 and not isinstance(sensor, Hits):
             noisy = replace(
                 sensor,
                 sensor_noise=wrong.noise * sensor.sensor_noise,
                 environment_noise=wrong.noise * sensor.environment_noise,
             )
-            self._instrument = noisy, as_told
+            self._instrument = noisy, wrong.cv is None or of_time
         self._strengths: list[float] = []
 
     def gas(self, position: tuple[float, float], step: int, time_s: float | None = None) -> float:
@@ -104,22 +106,43 @@ class World:
 
         before: the reading before, for a sensor that lags; without one it has been in clean air.
         """
-        usual = usual_s(step) + (step + 1) * self.sensor.dwell
-        at_s, noise = usual if time_s is None else time_s, self._noise
-        places, times_s = np.array([[*position, 0.0]]), np.array([at_s])
-        if is_timed(self.sensor):
-            strength = self._strength(step, noise) if isinstance(self.sensor, Instrument) else 1.0
-            instruments, air = np.array([self._instruments]).T, partial(_asked, self)
-            exposed = met(air, self.sensor, strength * self._instruments[3], position, at_s, before)
-            winds = air(places, times_s)[1]
-            gas, winds = _read([self], np.array([exposed]), winds, instruments, [step], times_s, noise)
-        else:
-            gas, winds = readings_of([self], places[:, :2], [step], times_s, noise)
-        return gas.tolist()[0], tuple(winds[0].tolist())
+        sensor, noise = self.sensor, self._noise
+        at_s = usual_s(step) + (step + 1) * sensor.dwell if time_s is None else time_s
+        if not is_timed(sensor):
+            gas, winds = readings_of([self], np.array([position]), [step], np.array([at_s]), noise)
+            return gas.tolist()[0], tuple(winds[0].tolist())
+        strength = self._strength(step, noise) if isinstance(sensor, Instrument) else 1.0
+        gain = strength * self.errors.gain
+        there = met(partial(_asked_along, self), sensor, gain, position, at_s, before)
+        _, wind = _asked(self, np.array([[*position, 0.0]]), np.array([at_s]))
+        value = _read([self], np.array([there]), [step], [at_s], noise)[0]
+        return float32(value), self._gusty(step, self._measured(*wind), noise)
 
     def warms_up(self, time_s: float) -> bool:
         """Whether the sensor has no value yet at this time of the mission."""
         return isinstance(self.sensor, Instrument) and time_s < self.sensor.warmup
+
+    def _gusty(self, step: int, wind: WindVector, noise: Keyed) -> WindVector:
+        """Return what an anemometer with errors of its own in each reading says of a measured wind."""
+        wrong = self.errors
+        if not (wrong.wind_std_deg or wrong.wind_std):
+            return wind
+        turned, grown = noise.at(self.seed, "anemometer", step).standard_normal(2).tolist()
+        cosine, sine = direction(wrong.wind_std_deg * turned / 360.0)
+        factor = max(1.0 + wrong.wind_std * grown, 0.0)
+        east, north = wind
+        return (
+            float32(factor * float(cosine * east - sine * north)),
+            float32(factor * float(sine * east + cosine * north)),
+        )
+
+    def _measured(self, east: float, north: float) -> WindVector:
+        """Return what the anemometer reads of the true wind, m/s."""
+        cosine, sine, speed = self._anemometer
+        return (
+            float32((cosine * east + sine * north) / speed),
+            float32((cosine * north - sine * east) / speed),
+        )
 
     def loses(self, step: int) -> bool:
         """Whether reading number `step` has no value at first.
@@ -168,7 +191,7 @@ class World:
     def _shown(self, value: float) -> float:
         """What the sensor shows for a false value, one that it could give.
 
-        A count is whole, and below its threshold a sensor reads 0.
+        A count is whole, below its threshold a sensor reads 0, and an instrument saturates.
         """
         match self.sensor:
             case Instrument():
@@ -198,40 +221,31 @@ def readings_of(
     """
     places = np.zeros((len(worlds), 3))
     places[:, :2] = positions
-    there, winds = _air(worlds, places, times_s)
-    instruments = np.array([world._instruments for world in worlds]).T
-    return _read(worlds, there * instruments[3], winds, instruments, steps, times_s, noise)
+    gas, winds = _air(worlds, places, times_s)
+    means = gas * [world.errors.gain for world in worlds]
+    readings = _read(worlds, means, steps, times_s, noise)
+    for number, (world, step) in enumerate(zip(worlds, steps, strict=True)):
+        if world.errors.wind_std or world.errors.wind_std_deg:
+            winds[number] = world._gusty(step, tuple(winds[number].tolist()), noise)
+    return readings.astype(np.float32).astype(np.float64), winds
 
 
 def _read(
     worlds: Sequence[World],
     means: Array,
-    winds: Array,
-    instruments: Array,
     steps: Sequence[int],
-    times_s: Array,
+    times_s: Sequence[float] | Array,
     noise: Keyed,
-) -> tuple[Array, Array]:
-    """Return the readings (M,) of sensors, and of anemometers in true winds (M, 2), as `readings_of`.
-
-    means: (M,) that the noise of each is added to.  instruments: (4, M) of the worlds.
-    """
-    cosine, sine, speed, _ = instruments
-    winds = np.stack(
-        [
-            (cosine * winds[:, 0] + sine * winds[:, 1]) / speed,
-            (cosine * winds[:, 1] - sine * winds[:, 0]) / speed,
-        ],
-        axis=1,
-    )
+) -> Array:
+    """Return the readings (M,) whose noise is added to these means (M,)."""
     readings = np.empty(len(worlds))
     alike: dict[tuple[Sensor, bool], list[int]] = {}
     for number, world in enumerate(worlds):
         alike.setdefault(world._instrument, []).append(number)
     for (sensor, gas_as_told), those in alike.items():
         draws = Abreast(noise, [(worlds[i].seed, "sensor", steps[i]) for i in those])
-        gas = None if gas_as_told else means[those] * [worlds[i]._strength(steps[i], noise) for i in those]
-        readings[those] = sensor.measure(means[those], draws, gas)
+        drawn = None if gas_as_told else means[those] * [worlds[i]._strength(steps[i], noise) for i in those]
+        readings[those] = sensor.measure(means[those], draws, drawn)
     for number, (world, step) in enumerate(zip(worlds, steps, strict=True)):
         for spiked, amount in world.errors.spikes:
             if step == spiked:
@@ -240,30 +254,30 @@ def _read(
             readings[number] = world._drifted(world.sensor, readings[number], times_s[number], noise)
         if step >= world.errors.stuck_from:
             readings[number] = world._stuck(step, noise)
-    return as_float32(readings), as_float32(winds)
-
-
-def as_float32(values: Array) -> Array:
-    """Round to the nearest float32 each."""
-    return values.astype(np.float32).astype(np.float64)
+    return readings
 
 
 def _air(worlds: Sequence[World], places: Array, times_s: Array) -> tuple[Array, Array]:
-    """Return the gas (M,) and the true wind (M, 2), each at one place of a world."""
+    """Return the gas (M,) and the measured wind (M, 2), float32 values, each at one place of a world."""
     plumes = [world.air for world in worlds if isinstance(world.air, Steady)]
     if len(plumes) == len(worlds):
-        return steady(plumes, places)
+        return gas_of(plumes, places), np.array([world._steady for world in worlds])
     gas, winds = np.empty(len(worlds)), np.empty((len(worlds), 2))
     for i, world in enumerate(worlds):
-        gas[i : i + 1], winds[i : i + 1] = _asked(world, places[i : i + 1], times_s[i : i + 1])
+        gas[i], wind = _asked(world, places[i : i + 1], times_s[i : i + 1])
+        winds[i] = world._measured(*wind)
     return gas, winds
 
 
-def _asked(world: World, places: Array, times_s: Array) -> tuple[Array, Array]:
-    """Return the gas (M,) and the true wind (M, 2) at places (M, 3) of a world at times (M,).
+def _asked(world: World, places: Array, times_s: Array) -> tuple[float, tuple[float, float]]:
+    """Return the gas and the true wind at one place."""
+    gas, winds = _asked_along(world, places, times_s)
+    east, north = winds[0].tolist()
+    return float(gas[0]), (east, north)
 
-    Raises WorldError: it may be anybody's code.
-    """
+
+def _asked_along(world: World, places: Array, times_s: Array) -> tuple[Array, Array]:
+    """Return the gas (M,) and the true wind (M, 2) at places (M, 3). Raises WorldError: it may be anybody's."""
     try:
         said = world.air(places, times_s)
         gas = np.asarray(said[0], np.float64).reshape(len(places))

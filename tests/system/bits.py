@@ -321,6 +321,7 @@ def checks() -> dict[str, Callable[[], str]]:
         found[f"flight/{policy}-gusts"] = partial(
             flight, policy, "gaussian:0.3,0.2,1.0", "paper", "cv-1-correlated", 25
         )
+        found[f"flight/{policy}-moving"] = partial(flight, policy, "gaussian", "field", MOVING, 25)
     found["flight/unusual"] = unusual
     found |= {
         f"recovery/{assume}-{kind}": partial(recovery, assume, kind)

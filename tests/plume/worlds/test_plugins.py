@@ -47,7 +47,7 @@ def install(folder: Path, module: str, source: str, **names: str) -> None:
 def pulses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with the package of docs/worlds.md."""
     page = (ROOT / "docs" / "worlds.md").read_text()
-    (source,) = re.findall(r"```python\n(.+?)```", page, re.DOTALL)
+    (source,) = (code for code in re.findall(r"```python\n(.+?)```", page, re.DOTALL) if "def pulsed" in code)
     install(tmp_path, "pulses", source, pulsed="pulsed")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "pulses", raising=False)
