@@ -44,11 +44,11 @@ class Batch:
         self._models = Model(
             first.unknown_indices,
             np.empty((count, *first.prior_rows.shape)),
-            np.empty((count, 5)),
+            np.empty((count, len(first.model.sensor))),
             np.empty((count, 1)),
         )
         self._seeds = np.empty(count, np.uint64)
-        self._readings, self._ranks = np.empty((count, 64, 7)), np.empty((count, 64))
+        self._readings, self._ranks = np.empty((count, 64, first.columns)), np.empty((count, 64))
         self._configs = list(configs)
         self._threads, self._pool = threads, ThreadPoolExecutor(threads)
         for mission, config in enumerate(configs):

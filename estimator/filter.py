@@ -16,10 +16,12 @@ from estimator.kernels.update import WeightedSample, update
 from estimator.priors import Prior, Uniform, draw, table
 from link.bus.mavlink import Reading
 from plume.elementary import Array, Indices
+from plume.flight import leg_s
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import keyed
 from plume.scenario import AREA_M, LIFETIME_S
-from plume.sensors.names import GAUSSIAN, Sensor, sensor_row, text
+from plume.sensors.instruments import Instrument
+from plume.sensors.names import GAUSSIAN, Sensor, lags, sensor_row, text
 from plume.sensors.sensor import Gaussian
 
 
@@ -139,13 +141,27 @@ class Config:
         """
         return 3 * max(len(self.unknown_indices) - 1, 1)
 
-    def row(self, reading: Reading) -> Array:
-        """Return a reading as the kernels take it, (7,).
+    @property
+    def columns(self) -> int:
+        """Numbers of a reading as the kernels take it."""
+        return 11 if lags(self.sensor) else 7
 
-        The last number, the exponent of its likelihood, is 1; `update` may lower it.
+    def row(self, reading: Reading, before: Array | None = None) -> Array:
+        """Return a reading as the kernels take it, (7,) or (11,).
+
+        The seventh number, the exponent of its likelihood, is 1; `update` may lower it. Those of a sensor that
+        lags say where the reading before was taken, x and y, what it was, and how long the leg from there takes
+        by the usual speed: a clock would depend on the machine. Before the first it is in clean air.
+
+        before: the row of the reading before, if there is one.
         """
         height = reading.altitude_m if "z" in self.priors else 0.0
-        return np.array([*reading.position, height, *reading.wind, reading.gas, 1.0])
+        row = [*reading.position, height, *reading.wind, reading.gas, 1.0]
+        if isinstance(self.sensor, Instrument) and lags(self.sensor):
+            clean = float(self.sensor.settled(0.0))
+            x, y, gas = (*reading.position, clean) if before is None else before[[0, 1, 5]].tolist()
+            row += [x, y, gas, float(leg_s((x, y), reading.position))]
+        return np.array(row)
 
 
 @dataclass(frozen=True)
@@ -157,7 +173,8 @@ class Posterior:
     weights: Array  # (N,) exp(log_weights), scaled so that the greatest is 1
     # (N,) log posterior density given all readings so far, up to a constant, at each particle.
     log_targets: Array
-    # (T, 7): x, y, height, wind_x, wind_y, gas, share. The share is the exponent of the reading's likelihood.
+    # (T, 7) or (T, 11): x, y, height, wind_x, wind_y, gas, share, and what `Config.row` says of a sensor that
+    # lags. The share is the exponent of the reading's likelihood.
     # It is below 1 if the reading was too improbable to be assimilated in full.
     readings: Array
     # (T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right.
@@ -179,7 +196,9 @@ def prior(config: Config) -> Posterior:
     count = config.particles
     particles = draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
     log_targets = log_priors(particles, config.model)
-    return Posterior(particles, np.zeros(count), np.ones(count), log_targets, np.empty((0, 7)), np.empty(0))
+    return Posterior(
+        particles, np.zeros(count), np.ones(count), log_targets, np.empty((0, config.columns)), np.empty(0)
+    )
 
 
 def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Posterior:
@@ -202,6 +221,7 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
         ```
     """
     sample = WeightedSample(*(array.copy() for array in posterior.sample))
-    readings = np.vstack([posterior.readings, config.row(reading)])
+    before = posterior.readings[-1] if len(posterior.readings) else None
+    readings = np.vstack([posterior.readings, config.row(reading, before)])
     rank = update(sample, readings, config.model, config.seed, config.sweeps)
     return Posterior(*sample, readings, np.append(posterior.ranks, rank))

@@ -146,6 +146,19 @@ def density(gas: float, mean: float, variance: float, cv: float) -> float:
 
 
 @subroutine
+def exceeding(gas: float, mean: float, variance: float, cv: float) -> float:
+    """P(Z > gas) of a reading, as by `distribution`; small ones keep their digits."""
+    x = cv * (CV_CELLS / GREATEST_CV)
+    row = min(int(x), CV_CELLS - 1)
+    x -= row
+    inverse, total = math.sqrt(0.5 / variance), 0.0
+    low, high = CONCENTRATIONS[row], CONCENTRATIONS[row + 1]
+    for cell in range(BODY + TAIL):
+        total += SHARES[cell] * erfc((gas - mean * (low[cell] + x * (high[cell] - low[cell]))) * inverse)
+    return 0.5 * total
+
+
+@subroutine
 def distribution(gas: float, mean: float, variance: float, cv: float, tails: Array) -> float:
     """P(Z ≤ gas) of a reading, as in `log_density`; right to about 0.01.
 

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from plume.compiled import kernel, subroutine
+from plume.compiled import subroutine
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
 from plume.numerics import cosine_and_sine, exp
@@ -107,18 +107,25 @@ def derive(particles: Array, count: int, unknowns: Indices, priors: Array, deriv
 
 
 @subroutine
-def derived_means(derived: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
-    """Fill `means` (count,) with the concentration at the reading's place, times the gain, g/m³.
-
-    Each is that of a column of `derived`. A measured wind is taken from the reading, with the column's error.
-    """
-    x, y, height = reading[0], reading[1], reading[2]
+def wind_of(reading: Array, priors: Array) -> tuple[float, float, float]:
+    """Return the measured speed, m/s, and the direction's (cos, sin): 1 and 0° where they have a prior."""
     speed = math.sqrt(reading[3] * reading[3] + reading[4] * reading[4])
     cosine, sine = (reading[3] / speed, reading[4] / speed) if speed > 0 else (1.0, 0.0)
     if priors[U, 0] != MEASURED:
         speed = 1.0
     if priors[PHI, 0] != MEASURED:
         cosine, sine = 1.0, 0.0
+    return speed, cosine, sine
+
+
+@subroutine
+def derived_means(derived: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
+    """Fill `means` (count,) with the concentration at the reading's place, times the gain, g/m³.
+
+    Each is that of a column of `derived`. A measured wind is taken from the reading, with the column's error.
+    """
+    x, y, height = reading[0], reading[1], reading[2]
+    speed, cosine, sine = wind_of(reading, priors)
     for i in range(count):
         u = speed * derived[6, i]
         c = cosine * derived[7, i] - sine * derived[8, i]
@@ -130,20 +137,3 @@ def derived_means(derived: Array, count: int, reading: Array, priors: Array, mea
         drift = u * derived[4, i]
         inverse_length = math.sqrt(derived[5, i] + drift * drift)
         means[i] = derived[3, i] / distance * exp(-distance * inverse_length - drift * (dx * c + dy * s))
-
-
-@kernel("float64[:, ::1](float64[:, ::1], int64[::1], float64[:, ::1], float64[:, ::1])", nogil=True)
-def mean_concentrations(particles: Array, unknowns: Indices, priors: Array, readings: Array) -> Array:
-    """Concentration at the place of each reading (A, 5 or more) under each particle, g/m³: (A, N)."""
-    count = particles.shape[1]
-    result = np.empty((len(readings), count))
-    only_location = is_location_only(unknowns, priors)
-    derived = np.empty((0 if only_location else DERIVED, count))
-    if not only_location:
-        derive(particles, count, unknowns, priors, derived)
-    for a in range(len(readings)):
-        if only_location:
-            location_means(particles, count, readings[a], priors, result[a])
-        else:
-            derived_means(derived, count, readings[a], priors, result[a])
-    return result

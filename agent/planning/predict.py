@@ -10,10 +10,10 @@ from link.bus.messages import Belief, Particles
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array
 from plume.intermittency import SMALLEST_CV
-from plume.kernels import mean_concentrations
 from plume.numerics import exp_each, log_each
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import standard_gamma
+from plume.response import settled_readings
 from plume.sensors.names import Sensor, parse, sensor_row
 from plume.sensors.sensor import Gaussian
 
@@ -103,7 +103,10 @@ def _noises(belief: Belief, hypotheses: Cloud) -> Array:
 
 
 def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
-    """Mean concentration (A, N), g/m³, at places (A, 2) m at flight height under each particle."""
+    """What the sensor reads without noise, (A, N), after long at places (A, 2) m under each particle.
+
+    It is the mean concentration, g/m³, at flight height; of an instrument, as it says. Lag is not planned for.
+    """
     names = _names(belief)
     known = {"z": belief.z, "q": belief.rate, "d": belief.diffusivity, "tau": belief.lifetime, **NEUTRAL}
     priors = np.zeros((len(PARAMETERS), 5))
@@ -113,7 +116,8 @@ def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
     readings[:, :2] = places
     readings[:, 2:] = belief.altitude_m, *belief.wind
     unknowns = np.array([PARAMETERS.index(name) for name in names])
-    return mean_concentrations(hypotheses.values, unknowns, priors, readings)
+    sensor = sensor_row(parse(belief.sensor))
+    return settled_readings(hypotheses.values, unknowns, priors, readings, sensor)
 
 
 def imagine(

@@ -16,6 +16,7 @@ from plume.flight import TRY_AGAIN_S, leg_s
 from plume.outcome import Outcome, TracePoint, outcome
 from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, BUDGET_STEPS, Scenario, draw
+from plume.worlds.exposure import Before
 from plume.worlds.world import World
 
 ALTITUDE_M = 5.0
@@ -86,11 +87,14 @@ def _steps(
     world: World, config: Config, policy: str, agent_seed: int, budget: int, within: Reach, ends: bool
 ) -> Iterator[Step]:
     posterior, position, decision_s = prior(config), world.start, 0.0
-    time_s, place = 0.0, world.start
+    time_s, place, before = 0.0, world.start, None
     for step in range(budget + 1):
-        time_s += float(leg_s(place, position)) + TRY_AGAIN_S * world.loses(step)
+        time_s += float(leg_s(place, position)) + world.sensor.dwell + TRY_AGAIN_S * world.loses(step)
+        while world.warms_up(time_s):
+            time_s += TRY_AGAIN_S
         place = position
-        gas, wind = world.measure(position, step, time_s)
+        gas, wind = world.measure(position, step, time_s, before)
+        before = Before(position, time_s, gas)
         reading = Reading(step, position, ALTITUDE_M, wind, gas)
         began = time.process_time()
         posterior = assimilate(posterior, reading, config)

@@ -4,14 +4,15 @@ import math
 
 import numpy as np
 
-from estimator.kernels.densities import Model, is_intermittent, normal_cdf
+from estimator.kernels.densities import Model, is_intermittent, is_saturated, normal_cdf
 from estimator.kernels.spikes import spike_density, spike_rank
 from plume.compiled import kernel, subroutine
 from plume.elementary import Array
 from plume.intermittency import BODY, TAIL, distribution
 from plume.kernels import CVS, NOISES
 from plume.numerics import HALF_LOG_2PI, dot, exp, log, log1p, log_gamma, total_of
-from plume.parameters import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
+from plume.parameters import DECAY, DWELL, GAUSSIAN_KIND, HITS_KIND, RISE, SATURATION, THRESHOLD_KIND
+from plume.response import lags
 
 # Approximate number of particles, evenly spaced, for the predictive rank of a reading; fewer in intermittent
 # gas, where each takes long.
@@ -53,14 +54,14 @@ def _hits_cdf(count: float, expected: float) -> float:
 
 @subroutine
 def predictive_rank(
-    means: Array, derived: Array, weights: Array, gas: float, model: Model, chance: float
+    means: Array, fresh: Array, derived: Array, weights: Array, gas: float, model: Model, chance: float
 ) -> float:
     """Return the rank of a reading in its predictive distribution (Dawid 1984).
 
     It is uniform in (0, 1) if the model is right. That of a spike is near 0 or 1, but no nearer than spikes
     are rare.
-    means, weights: (N,) of the particles before the reading.  derived: their columns of
-    `plume.kernels.derive`, or empty.
+    means, weights: (N,) of the particles before the reading.  fresh: as of `log_densities`.
+    derived: their columns of `plume.kernels.derive`, or empty.
     chance: a uniform draw in (0, 1) that breaks ties of discrete readings.
     """
     sensor = model.sensor
@@ -79,7 +80,10 @@ def predictive_rank(
     for i in range(count):
         variance = noises[i] * ((sensor[1] * few[i]) ** 2 + sensor[2] * sensor[2])
         if intermittent:
-            tails[i] = distribution(gas, few[i], variance, derived[CVS, i * stride], cells)
+            recent = fresh[i * stride]
+            tails[i] = distribution(
+                gas - (few[i] - recent), recent, variance, derived[CVS, i * stride], cells
+            )
         elif sensor[0] == HITS_KIND:
             expected = sensor[1] * few[i] + sensor[2]
             below = _hits_cdf(gas - 1, expected)
@@ -90,6 +94,8 @@ def predictive_rank(
             )
             if gas == 0.0:
                 tails[i] *= chance
+        if is_saturated(gas, sensor):
+            tails[i] += chance * (1 - tails[i])
         share += shares[i] * tails[i]
         total += shares[i]
     rank, spikes = share / total, model.spikes[0]
@@ -115,8 +121,8 @@ def _of_one_value(gas: Array, log_factorials: Array, sensor: Array) -> float:
         for i in range(count):
             result += gas[i] * log(mean) - mean - log_factorials[i]
         return result
-    if sensor[0] == THRESHOLD_KIND:
-        gas = gas[gas != 0.0]
+    if sensor[0] == THRESHOLD_KIND or sensor[SATURATION] < math.inf:
+        gas = gas[(gas != 0.0) if sensor[0] == THRESHOLD_KIND else (gas < sensor[SATURATION])]
         for n in (len(gas), count - len(gas)):
             result += n * log(max(n, 1) / count)
     if len(gas) > 0:
@@ -126,15 +132,9 @@ def _of_one_value(gas: Array, log_factorials: Array, sensor: Array) -> float:
     return result
 
 
-@kernel("float64(float64[:, ::1], float64[::1], float64)")
-def log_likelihood_of_one_value(readings: Array, sensor: Array, spikes: float) -> float:
-    """Greatest log-likelihood of readings (T, 7) by a sensor that shows one value plus noise.
-
-    For hits: by one that counts with one mean. A threshold sensor shows 0 with one probability, and else
-    one value plus noise. If a share of the readings are spikes, any of those farthest from the others are
-    taken for spikes, up to half.
-    """
-    gas = readings[:, 5].copy()
+@subroutine
+def _greatest(gas: Array, sensor: Array, spikes: float) -> float:
+    """Return what `log_likelihood_of_one_value` does for gas values (T,)."""
     result = _of_one_value(gas, _log_factorials(gas, sensor), sensor)
     if spikes == 0:
         return result
@@ -151,6 +151,25 @@ def log_likelihood_of_one_value(readings: Array, sensor: Array, spikes: float) -
             low += 1
         of_rest = _of_one_value(ordered[low:high], constants[low:high], sensor)
         result = max(result, of_rest + (high - low) * kept + of_spikes)
+    return result
+
+
+@kernel("float64(float64[:, ::1], float64[::1], float64)")
+def log_likelihood_of_one_value(readings: Array, sensor: Array, spikes: float) -> float:
+    """Greatest log-likelihood of readings (T, 7) by a sensor that shows one value plus noise.
+
+    For hits: by one that counts with one mean. A threshold sensor shows 0 with one probability, and else
+    one value plus noise. If a share of the readings are spikes, any of those farthest from the others are
+    taken for spikes, up to half. A sensor that lags may also show one value less what is left of the reading
+    before.
+    """
+    result = _greatest(readings[:, 5].copy(), sensor, spikes)
+    if lags(sensor):
+        changes = np.empty(len(readings))
+        for t in range(len(readings)):
+            kept = exp(-(readings[t, 10] + sensor[DWELL]) / max(sensor[RISE], sensor[DECAY]))
+            changes[t] = readings[t, 5] - kept * readings[t, 9]
+        result = max(result, _greatest(changes, sensor, spikes))
     return result
 
 

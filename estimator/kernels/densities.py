@@ -10,16 +10,14 @@ from estimator.kernels.spikes import spike_density
 from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
-from plume.intermittency import density, log_density
+from plume.intermittency import density, exceeding, log_density
 from plume.kernels import (
     CVS,
     DERIVED,
     NOISES,
     derive,
-    derived_means,
     is_location_only,
     is_plain,
-    location_means,
 )
 from plume.numerics import HALF_LOG_2PI, erfc, exp, log, log1p, log_gamma
 from plume.parameters import (
@@ -30,12 +28,15 @@ from plume.parameters import (
     KNOWN,
     LOGNORMAL,
     NORMAL,
+    RAY,
+    SATURATION,
     TAU,
     THRESHOLD_KIND,
     D,
     Q,
     Z,
 )
+from plume.response import follow, gas_means, is_direct, lags, settle
 
 FUSED = 8  # readings whose densities are added together: products of 8 variances neither overflow nor vanish
 
@@ -51,12 +52,18 @@ class Model(NamedTuple):
 
     unknowns: Indices  # (D,) indices into `plume.parameters.PARAMETERS`
     priors: Array  # (13, 5): kind, two numbers, and the support's ends of each parameter
-    sensor: Array  # (5,): kind and numbers
+    sensor: Array  # (SENSOR_NUMBERS,): kind and numbers
     spikes: Array  # (1,): share of the readings that say nothing of the source
 
 
 tuple_type: Any = numba.types.NamedTuple
 MODEL = tuple_type((numba.int64[::1], numba.float64[:, ::1], numba.float64[::1], numba.float64[::1]), Model)
+
+
+@subroutine
+def is_saturated(gas: float, sensor: Array) -> bool:
+    """True if the sensor cannot show whether it would read more."""
+    return bool(gas >= sensor[SATURATION])
 
 
 @subroutine
@@ -66,31 +73,37 @@ def is_intermittent(priors: Array) -> bool:
 
 
 @subroutine
-def log_densities(means: Array, derived: Array, count: int, gas: float, model: Model, result: Array) -> None:
+def log_densities(
+    means: Array, fresh: Array, derived: Array, count: int, gas: float, model: Model, result: Array
+) -> None:
     """Fill `result` with the log-likelihood of a gas value for each mean, as plume/sensors/ defines it.
 
     Where a share of the readings are spikes, it is that of the mixture.
+    fresh: (count,) the part of each mean that the gas at the place gives and that fluctuates with it; all of
+    it, but for a sensor that lags.
     derived: as of `reading_densities`, for the noise and the gas's intermittency where they are unknown.
     """
     spikes = model.spikes[0]
     if spikes == 0:
-        _without_spikes(means, derived, count, gas, model, result)
+        _without_spikes(means, fresh, derived, count, gas, model, result)
         return
     kept, spike = 1 - spikes, spikes * spike_density(gas, model.sensor)
-    if is_intermittent(model.priors):
+    if is_intermittent(model.priors) and not is_saturated(gas, model.sensor):
         slope, floor = model.sensor[1] * model.sensor[1], model.sensor[2] * model.sensor[2]
         for i in range(count):
             variance = derived[NOISES, i] * (slope * means[i] * means[i] + floor)
-            result[i] = log(kept * density(gas, means[i], variance, derived[CVS, i]) + spike)
+            result[i] = log(
+                kept * density(gas - (means[i] - fresh[i]), fresh[i], variance, derived[CVS, i]) + spike
+            )
     else:
-        _without_spikes(means, derived, count, gas, model, result)
+        _without_spikes(means, fresh, derived, count, gas, model, result)
         for i in range(count):
             result[i] = log(kept * exp(result[i]) + spike)
 
 
 @subroutine
 def _without_spikes(
-    means: Array, derived: Array, count: int, gas: float, model: Model, result: Array
+    means: Array, fresh: Array, derived: Array, count: int, gas: float, model: Model, result: Array
 ) -> None:
     """Fill `result` as `log_densities` does for readings that are no spikes."""
     sensor = model.sensor
@@ -104,10 +117,20 @@ def _without_spikes(
         for i in range(count):
             expected = sensor[1] * means[i] + sensor[2]
             result[i] = gas * log(expected) - expected - constant
+    elif is_saturated(gas, sensor):
+        for i in range(count):
+            noise = derived[NOISES, i] if len(derived) else 1.0
+            variance = noise * (slope * means[i] * means[i] + floor)
+            if is_intermittent(model.priors):
+                older = means[i] - fresh[i]
+                beyond = exceeding(sensor[SATURATION] - older, fresh[i], variance, derived[CVS, i])
+            else:
+                beyond = normal_cdf((means[i] - sensor[SATURATION]) / math.sqrt(variance))
+            result[i] = log(max(beyond, 1e-300))
     elif not plain and is_intermittent(model.priors):
         for i in range(count):
             variance = derived[NOISES, i] * (slope * means[i] * means[i] + floor)
-            result[i] = log_density(gas, means[i], variance, derived[CVS, i])
+            result[i] = log_density(gas - (means[i] - fresh[i]), fresh[i], variance, derived[CVS, i])
     elif kind == THRESHOLD_KIND and gas == 0.0:
         for i in range(count):
             if plain:
@@ -132,22 +155,52 @@ def derived_of(count: int, model: Model) -> Array:
 
     It is empty where only the location is unknown, which has a faster loop.
     """
-    return np.empty((0 if is_location_only(model.unknowns, model.priors) else DERIVED, count))
+    few = is_location_only(model.unknowns, model.priors) and model.sensor[RAY] == 0
+    return np.empty((0 if few else DERIVED, count))
+
+
+@subroutine
+def element_means(
+    particles: Array,
+    derived: Array,
+    count: int,
+    reading: Array,
+    model: Model,
+    means: Array,
+    fresh: Array,
+    scratch: Array,
+) -> None:
+    """Fill `means` (count,) with what the sensor reads without noise, and `fresh` as of `log_densities`.
+
+    derived: columns that `derive` filled; empty if only the location is unknown.  scratch: (count,).
+    """
+    sensor = model.sensor
+    gas_means(particles, derived, count, reading, model.priors, sensor, means)
+    if lags(sensor):
+        before = reading[:5].copy()
+        before[0], before[1] = reading[7], reading[8]
+        gas_means(particles, derived, count, before, model.priors, sensor, scratch)
+        follow(means, scratch, fresh, count, reading, sensor)
+        return
+    settle(means, count, sensor)
+    for i in range(count):
+        fresh[i] = means[i]
 
 
 @subroutine
 def reading_densities(
-    particles: Array, derived: Array, count: int, reading: Array, model: Model, means: Array, result: Array
+    particles: Array,
+    derived: Array,
+    count: int,
+    reading: Array,
+    model: Model,
+    means: Array,
+    fresh: Array,
+    result: Array,
 ) -> None:
-    """Fill `means` and `result` (count,): concentration and log-likelihood of a reading by particle.
-
-    derived: columns that `derive` filled; empty if only the location is unknown.
-    """
-    if len(derived) == 0:
-        location_means(particles, count, reading, model.priors, means)
-    else:
-        derived_means(derived, count, reading, model.priors, means)
-    log_densities(means, derived, count, reading[5], model, result)
+    """Fill `means`, `fresh` (`element_means`) and `result` (count,), the log-likelihood by particle."""
+    element_means(particles, derived, count, reading, model, means, fresh, result)
+    log_densities(means, fresh, derived, count, reading[5], model, result)
 
 
 @subroutine
@@ -158,7 +211,12 @@ def is_fused(readings: Array, model: Model) -> bool:
     range.
     """
     priors, sensor = model.priors, model.sensor
-    if sensor[0] != GAUSSIAN_KIND or model.spikes[0] > 0 or not is_location_only(model.unknowns, priors):
+    if (
+        sensor[0] != GAUSSIAN_KIND
+        or not is_direct(sensor)
+        or model.spikes[0] > 0
+        or not is_location_only(model.unknowns, priors)
+    ):
         return False
     scale = priors[Q, 1] / (4 * math.pi * priors[D, 1])
     sound: bool = sensor[2] > 1e-12 and (1 + sensor[1] + sensor[2]) * (1 + scale) < 1e10
@@ -210,7 +268,11 @@ def add_place_densities(
 @subroutine
 def is_a_normal_density(gas: float, sensor: Array) -> bool:
     """True if this gas value has a density, which noise widens and so lowers; false if a probability."""
-    return sensor[0] != HITS_KIND and (sensor[0] != THRESHOLD_KIND or gas != 0.0)
+    return (
+        not is_saturated(gas, sensor)
+        and sensor[0] != HITS_KIND
+        and (sensor[0] != THRESHOLD_KIND or gas != 0.0)
+    )
 
 
 @subroutine
@@ -234,7 +296,7 @@ def _greatest_without_spikes(gas: float, sensor: Array, priors: Array) -> float:
     """
     if sensor[0] == HITS_KIND:
         return gas * log(gas) - gas - log_gamma(gas + 1.0) + 1e-9 if gas > 0 else 0.0
-    if sensor[0] == THRESHOLD_KIND and gas == 0.0:
+    if is_saturated(gas, sensor) or (sensor[0] == THRESHOLD_KIND and gas == 0.0):
         return 0.0
     slope, floor = sensor[1] * sensor[1], sensor[2] * sensor[2]
     if gas <= 0 or not is_plain(priors):
@@ -249,12 +311,13 @@ def _greatest_without_spikes(gas: float, sensor: Array, priors: Array) -> float:
 
 @kernel(numba.float64[::1](numba.float64[:, ::1], MODEL, numba.float64[::1]))
 def log_likelihoods(particles: Array, model: Model, reading: Array) -> Array:
-    """Log-likelihood of one reading (7,) under each particle: (N,)."""
+    """Log-likelihood of one reading (7,) or (11,) under each particle: (N,)."""
     count = particles.shape[1]
-    means, result, derived = np.empty(count), np.empty(count), derived_of(count, model)
+    means, fresh, result = np.empty(count), np.empty(count), np.empty(count)
+    derived = derived_of(count, model)
     if len(derived):
         derive(particles, count, model.unknowns, model.priors, derived)
-    reading_densities(particles, derived, count, reading, model, means, result)
+    reading_densities(particles, derived, count, reading, model, means, fresh, result)
     return result
 
 

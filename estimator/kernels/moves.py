@@ -185,6 +185,7 @@ def _judge(block: Block, alive: int, readings: Array, bounds: Array, model: Mode
     """
     particles, derived, targets, needed, _, scratch = block
     means, densities, log_factors, possible = scratch[0], scratch[1], scratch[2], scratch[3]
+    fresh = scratch[4]  # of readings that are not fused
     plain = is_plain(model.priors)
     last = len(readings) - 1
     back = next_check = 0
@@ -196,7 +197,7 @@ def _judge(block: Block, alive: int, readings: Array, bounds: Array, model: Mode
                 t -= 1
             add_place_densities(particles, alive, readings[t : newest + 1], model, scratch[4:], targets)
         else:
-            reading_densities(particles, derived, alive, readings[t], model, means, densities)
+            reading_densities(particles, derived, alive, readings[t], model, means, fresh, densities)
             for j in range(alive):
                 targets[j] += share * densities[j]
         back = last - t + 1

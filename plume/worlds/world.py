@@ -277,7 +277,10 @@ def _asked(world: World, places: Array, times_s: Array) -> tuple[float, tuple[fl
 
 
 def _asked_along(world: World, places: Array, times_s: Array) -> tuple[Array, Array]:
-    """Return the gas (M,) and the true wind (M, 2) at places (M, 3). Raises WorldError: it may be anybody's."""
+    """Return the gas (M,) and the true wind (M, 2) at places (M, 3) of a world, anybody's code.
+
+    Raises WorldError.
+    """
     try:
         said = world.air(places, times_s)
         gas = np.asarray(said[0], np.float64).reshape(len(places))
