@@ -145,6 +145,7 @@ class GasSensor:
 
     services = SEARCHERS  # the services without which the search does not begin
     keys: tuple[Key, ...] = ()  # on which it is answered
+    dwell_s = 0.0  # that the vehicle hovers before it measures
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured | None:
         """Take reading `number`; None: the values come later, through `take`."""

@@ -149,9 +149,10 @@ class Config:
     def row(self, reading: Reading, before: Array | None = None) -> Array:
         """Return a reading as the kernels take it, (7,) or (11,).
 
-        The seventh number, the exponent of its likelihood, is 1; `update` may lower it. Those of a sensor that
-        lags say where the reading before was taken, x and y, what it was, and how long the leg from there takes
-        by the usual speed: a clock would depend on the machine. Before the first it is in clean air.
+        The seventh number, the exponent of its likelihood, is 1; `update` may lower it. Those of a
+        sensor that lags say where the reading before was taken, x and y, what it was, and how long the leg from
+        there takes by the usual speed: a clock would depend on the machine. Before the first it is in clean
+        air.
 
         before: the row of the reading before, if there is one.
         """

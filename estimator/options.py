@@ -25,10 +25,21 @@ def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
         type=cli.checked(sensor.parse, sensor.KINDS),
         default="gaussian",
         metavar="KIND[:NUMBERS]",
-        help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: "
-        "threshold:0.5,0.3 (default: %(default)s)",
+        help="the gas sensor: a name of `plumeward list sensors`, with numbers to change: threshold:0.5,0.3 or "
+        "pid:drift=0 (default: %(default)s)",
     )
     cli.completed(kind, lambda: sensor.KINDS)
+    add_dwell_argument(parser)
+
+
+def add_dwell_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the flag that says how long the vehicle hovers for a reading."""
+    parser.add_argument(
+        "--dwell",
+        type=cli.number(0, sensor.LONGEST_DWELL_S),
+        metavar="S",
+        help="hover S s at each place for its reading (default: as long as the sensor wants)",
+    )
 
 
 def criteria(args: argparse.Namespace) -> list[criterion.Criterion]:
@@ -51,7 +62,7 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
 
     `area_m` is the side of the area. Raises ValueError with what is allowed.
     """
-    assumed = sensor.parse(args.sensor)
+    assumed = sensor.parse(sensor.dwelling(args.sensor, args.dwell))
     priors: dict[str, Prior] = {}
     try:
         for text in args.prior:

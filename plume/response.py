@@ -1,6 +1,7 @@
 """Instruments as compiled loops: the gas along a ray, settled readings, and the lag between two readings.
 
-As in `plume/sensors/instruments.py`; tests hold them equal. sensor: (SENSOR_NUMBERS,), see `plume.parameters`.
+As in `plume/sensors/instruments.py`; tests hold them equal.
+sensor: (SENSOR_NUMBERS,), see `plume.parameters`.
 """
 
 import math
@@ -12,8 +13,11 @@ from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
 from plume.kernels import DERIVED, derive, derived_means, is_location_only, location_means, wind_of
 from plume.numerics import exp, log
-from plume.parameters import CLEAN, DECAY, DWELL, FACTOR, POWER, RAY, RISE, SATURATION
+from plume.parameters import CLEAN, DECAY, FACTOR, POWER, RAY, RISE, SATURATION
 
+# Shares of a leg behind the vehicle in the middle of each of even parts of its time, where it speeds up on the
+# first half and slows down on the second, as on all legs up to 8 m. The gas there stands for the part.
+LEG_SHARES = np.array([0.125, 0.875])
 # Nodes and weights of Gauss and Legendre between -1 and 1; the others are their mirror images.
 NODES = np.array([0.1834346424956498, 0.525532409916329, 0.7966664774136267, 0.9602898564975363])
 WEIGHTS = np.array([0.362683783378362, 0.3137066458778873, 0.22238103445337448, 0.10122853629037626])
@@ -82,28 +86,19 @@ def _kept(seconds: float, time_constant: float) -> float:
 
 
 @subroutine
-def follow(means: Array, earlier: Array, fresh: Array, count: int, reading: Array, sensor: Array) -> None:
-    """Turn gas at the place (count,) into where the element is after leg and dwell, in place.
+def kept_of(seconds: float, sensor: Array) -> tuple[float, float]:
+    """Return what is left of an element's distance after some seconds in more gas, and in less."""
+    return _kept(seconds, sensor[RISE]), _kept(seconds, sensor[DECAY])
 
-    It starts at the reading before. On the leg it meets the mean of the gas at both ends.
-    earlier: (count,) gas at the previous place; its content is lost.  fresh: filled with the share of each
-    result that is the gas at the place; the rest came before.  reading: (11,), see `estimator.filter`.
-    """
-    start, leg_s, dwell_s = reading[9], reading[10], sensor[DWELL]
-    leg_rise, leg_decay = _kept(leg_s, sensor[RISE]), _kept(leg_s, sensor[DECAY])
-    rise, decay = _kept(dwell_s, sensor[RISE]), _kept(dwell_s, sensor[DECAY])
+
+@subroutine
+def follow(values: Array, settled: Array, count: int, seconds: float, sensor: Array) -> None:
+    """Let elements (count,) follow gas of these settled readings for some seconds, in place."""
+    rise, decay = kept_of(seconds, sensor)
     falls = sensor[CLEAN] > 0  # gas lowers a metal oxide's resistance
     for i in range(count):
-        earlier[i] = 0.5 * (earlier[i] + means[i])
-    settle(earlier, count, sensor)
-    settle(means, count, sensor)
-    for i in range(count):
-        grows = (earlier[i] > start) != falls
-        value = earlier[i] + (start - earlier[i]) * (leg_rise if grows else leg_decay)
-        grows = (means[i] > value) != falls
-        kept = rise if grows else decay
-        fresh[i] = (1 - kept) * means[i]
-        means[i] += (value - means[i]) * kept
+        grows = (settled[i] > values[i]) != falls
+        values[i] = settled[i] + (values[i] - settled[i]) * (rise if grows else decay)
 
 
 @subroutine

@@ -105,7 +105,7 @@ def _noises(belief: Belief, hypotheses: Cloud) -> Array:
 def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
     """What the sensor reads without noise, (A, N), after long at places (A, 2) m under each particle.
 
-    It is the mean concentration, g/m³, at flight height; of an instrument, as it says. Lag is not planned for.
+    It is the mean concentration, g/m³, at flight height; of an instrument, in its unit. Its lag is left out.
     """
     names = _names(belief)
     known = {"z": belief.z, "q": belief.rate, "d": belief.diffusivity, "tau": belief.lifetime, **NEUTRAL}

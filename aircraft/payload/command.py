@@ -12,7 +12,7 @@ from link.bus.inbox import Inbox
 from link.bus.session import Bus
 from plume.worlds.world import World
 
-OF_THE_PLUME = ("mission", "seed", "sensor", "world")  # arguments of the simulated payload alone
+OF_THE_PLUME = ("mission", "seed", "sensor", "dwell", "world")  # arguments of the simulated payload alone
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

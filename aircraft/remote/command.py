@@ -50,4 +50,5 @@ def real_uav(
     search = Search(vehicle, orders.world.start, orders.after_stop, say)
     clients = RealClients(vehicle, search, bus, outs, clock, Handling(say.log), signing)
     sensor = AskedSensor(vehicle, bus, Winds(wind, orders.world.wind, say))
+    sensor.dwell_s = orders.world.sensor.dwell
     return Uav(search, clients, sensor, equipment, orders.events)

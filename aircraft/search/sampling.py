@@ -35,6 +35,7 @@ class Sampling:
         self._search, self._vehicle, self._clients = search, search.vehicle, clients
         self._sensor, self._timeline, self._bus, self._log = sensor, timeline, bus, log
         self._number = 0
+        self._arrivals = 0  # at which it dwells
         self._time_boot_ms = -1
         self._newest = b""
         self._sampled_at = time.monotonic()
@@ -54,9 +55,23 @@ class Sampling:
         return self._bus is not None and self._search.wants_answers
 
     def arrived(self, arrived: Arrived) -> None:
-        """Measure where the vehicle came to rest, if it is to be measured there."""
+        """Measure where the vehicle came to rest, if it is to be measured there, after the sensor's dwell."""
         if not self.is_wanted:
             return
+        if self._sensor.dwell_s:
+            self._arrivals += 1
+            self._timeline.at(
+                self._vehicle.now_s + self._sensor.dwell_s, partial(self._dwelled, self._arrivals, arrived)
+            )
+        else:
+            self._measure(arrived)
+
+    def _dwelled(self, arrival: int, arrived: Arrived) -> None:
+        """Measure, unless the vehicle has left the place meanwhile, or come to it anew."""
+        if arrival == self._arrivals:
+            self._again(arrived)
+
+    def _measure(self, arrived: Arrived) -> None:
         self._timeline.reach(self._number, by_operator=False)
         boot_ms = self._vehicle.now_s * 1000 if arrived.boot_ms is None else arrived.boot_ms
         self._time_boot_ms = self._search.answers.time_of(boot_ms)
@@ -100,8 +115,8 @@ class Sampling:
         self._timeline.at(self._vehicle.now_s + TRY_AGAIN_S, partial(self._again, arrived))
 
     def _again(self, arrived: Arrived) -> None:
-        if not self._vehicle.moving:
-            self.arrived(self._vehicle.still(arrived))
+        if self.is_wanted and not self._vehicle.moving:
+            self._measure(self._vehicle.still(arrived))
 
     def _publish(self, reading: bytes) -> None:
         if self._bus:

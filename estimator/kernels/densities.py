@@ -21,7 +21,9 @@ from plume.kernels import (
 )
 from plume.numerics import HALF_LOG_2PI, erfc, exp, log, log1p, log_gamma
 from plume.parameters import (
+    CLEAN,
     CV,
+    DWELL,
     GAMMA,
     GAUSSIAN_KIND,
     HITS_KIND,
@@ -36,7 +38,7 @@ from plume.parameters import (
     Q,
     Z,
 )
-from plume.response import follow, gas_means, is_direct, lags, settle
+from plume.response import LEG_SHARES, follow, gas_means, is_direct, kept_of, lags, settle
 
 FUSED = 8  # readings whose densities are added together: products of 8 variances neither overflow nor vanish
 
@@ -176,15 +178,26 @@ def element_means(
     """
     sensor = model.sensor
     gas_means(particles, derived, count, reading, model.priors, sensor, means)
-    if lags(sensor):
-        before = reading[:5].copy()
-        before[0], before[1] = reading[7], reading[8]
-        gas_means(particles, derived, count, before, model.priors, sensor, scratch)
-        follow(means, scratch, fresh, count, reading, sensor)
-        return
     settle(means, count, sensor)
+    if not lags(sensor):
+        for i in range(count):
+            fresh[i] = means[i]
+        return
     for i in range(count):
-        fresh[i] = means[i]
+        scratch[i] = reading[9]
+    place, parts = reading[:5].copy(), len(LEG_SHARES)
+    for part in range(parts if reading[10] > 0 else 0):
+        place[0] = reading[7] + LEG_SHARES[part] * (reading[0] - reading[7])
+        place[1] = reading[8] + LEG_SHARES[part] * (reading[1] - reading[8])
+        gas_means(particles, derived, count, place, model.priors, sensor, fresh)
+        settle(fresh, count, sensor)
+        follow(scratch, fresh, count, reading[10] / parts, sensor)
+    rise, decay = kept_of(sensor[DWELL], sensor)
+    falls = sensor[CLEAN] > 0
+    for i in range(count):
+        kept = rise if (means[i] > scratch[i]) != falls else decay
+        fresh[i] = (1 - kept) * means[i]
+        means[i] = fresh[i] + kept * scratch[i]
 
 
 @subroutine

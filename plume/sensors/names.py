@@ -114,6 +114,19 @@ def parse(text: str) -> Sensor:
     return replace(KINDS[name], **changes)
 
 
+def dwelling(text_of_sensor: str, dwell_s: float | None) -> str:
+    """Return the text of a sensor for which the vehicle hovers so long; None: as long as it says.
+
+    Raises ValueError.
+    """
+    sensor = parse(text_of_sensor)
+    if dwell_s is None:
+        return text_of_sensor
+    if not 0 <= dwell_s <= LONGEST_DWELL_S:
+        raise ValueError(f"a dwell of {dwell_s:g} s is not allowed; wanted 0 to {LONGEST_DWELL_S:g} s")
+    return text(replace(sensor, dwell=dwell_s))
+
+
 def text(sensor: Sensor) -> str:
     """Return the text of a sensor that `parse` reads back.
 

@@ -30,6 +30,7 @@ RECORD_FILE = "FILE.mcap"  # what the recorder calls the file that --record name
 OF_THE_UAV = (
     "seed",
     "sensor",
+    "dwell",
     "world",
     "silence",
     "after_stop",
@@ -168,7 +169,7 @@ def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> La
         given = {**given, "speedup": args.speedup}
     real = None
     if args.vehicle:
-        plume = _words(given, "seed", "sensor", "world") if args.payload == SIMULATED else []
+        plume = _words(given, "seed", "sensor", "dwell", "world") if args.payload == SIMULATED else []
         real = RealVehicle(url=args.vehicle, payload=args.payload, payload_arguments=plume, wait_s=args.wait)
     return Launch(
         script=script,

@@ -72,10 +72,16 @@ def add_mission_arguments(parser: argparse.ArgumentParser) -> None:
         type=cli.checked(sensor.parse, sensor.KINDS),
         default="gaussian",
         metavar="KIND[:NUMBERS]",
-        help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: "
-        "threshold:0.5,0.3 (default: %(default)s)",
+        help="the gas sensor: a name of `plumeward list sensors`, with numbers to change: threshold:0.5,0.3 or "
+        "pid:drift=0 (default: %(default)s)",
     )
     cli.completed(kind, lambda: sensor.KINDS)
+    parser.add_argument(
+        "--dwell",
+        type=cli.number(0, sensor.LONGEST_DWELL_S),
+        metavar="S",
+        help="hover S s at each place for its reading (default: as long as the sensor wants)",
+    )
     world = parser.add_argument(
         "--world",
         type=cli.checked(check, OURS),
@@ -102,6 +108,8 @@ def script_of(args: argparse.Namespace) -> Script:
     if "home" in given:
         changes |= {f"vehicle.{field}": value for field, value in zip(HOME, given["home"], strict=True)}
     script = (load(args.mission) if args.mission else Script()).changed(changes)
+    if "dwell" in given:
+        script = script.changed({"sensor": sensor.dwelling(script.sensor, given["dwell"])})
     if script.agent.policy == "none" and not script.scripted():
         raise BadInput(
             "--policy: 'none' is not allowed; wanted a policy, or a mission that scripts all its waypoints"

@@ -228,7 +228,8 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     scenario: ScenarioPart = ScenarioPart()
     vehicle: VehiclePart = VehiclePart()
     sensor: Annotated[
-        str, Meta(description="gaussian, threshold or hits, with optional numbers: 'threshold:0.5,0.3'")
+        str,
+        Meta(description="a name of `plumeward list sensors`, with optional numbers: 'threshold:0.5,0.3'"),
     ] = "gaussian"
     world: Annotated[
         str,

@@ -173,6 +173,7 @@ class SimulatedSensor(GasSensor):
 
     def __init__(self, world: World, vehicle: Vehicle) -> None:
         self.simulated, self._vehicle = Simulated(world), vehicle
+        self.dwell_s = world.sensor.dwell
         self.wind = world.wind  # as last measured
         self._number, self._place = -1, world.start
         self._time_s, self._since_s = 0.0, 0.0  # of the reading before, and since then
@@ -182,7 +183,8 @@ class SimulatedSensor(GasSensor):
         (north, east, _), config = arrived.position, self._vehicle.config
         if number != self._number:
             self._time_s, self._number = self._time_s + self._since_s, number
-            self._since_s = float(leg_s(self._place, (east, north), config.speed_mps, config.accel_mps2))
+            flown_s = float(leg_s(self._place, (east, north), config.speed_mps, config.accel_mps2))
+            self._since_s = flown_s + self.dwell_s
         else:
             self._since_s += TRY_AGAIN_S
         self._place = east, north
