@@ -150,9 +150,9 @@ class Config:
         """Return a reading as the kernels take it, (7,) or (11,).
 
         The seventh number, the exponent of its likelihood, is 1; `update` may lower it. Those of a
-        sensor that lags say where the reading before was taken, x and y, what it was, and how long the leg from
-        there takes by the usual speed: a clock would depend on the machine. Before the first it is in clean
-        air.
+        sensor that lags say where the reading before was taken, x and y, what it was, and how long the leg
+        from there takes by the usual speed: a clock would depend on the machine. Before the first it is in
+        clean air.
 
         before: the row of the reading before, if there is one.
         """

@@ -25,8 +25,8 @@ def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
         type=cli.checked(sensor.parse, sensor.KINDS),
         default="gaussian",
         metavar="KIND[:NUMBERS]",
-        help="the gas sensor: a name of `plumeward list sensors`, with numbers to change: threshold:0.5,0.3 or "
-        "pid:drift=0 (default: %(default)s)",
+        help="the gas sensor: a name of `plumeward list sensors`, with numbers to change: "
+        "threshold:0.5,0.3 or pid:drift=0 (default: %(default)s)",
     )
     cli.completed(kind, lambda: sensor.KINDS)
     add_dwell_argument(parser)

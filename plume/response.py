@@ -15,8 +15,8 @@ from plume.kernels import DERIVED, derive, derived_means, is_location_only, loca
 from plume.numerics import exp, log
 from plume.parameters import CLEAN, DECAY, FACTOR, POWER, RAY, RISE, SATURATION
 
-# Shares of a leg behind the vehicle in the middle of each of even parts of its time, where it speeds up on the
-# first half and slows down on the second, as on all legs up to 8 m. The gas there stands for the part.
+# Shares of a leg behind the vehicle in the middle of each of even parts of its time, where it speeds up on
+# the first half and slows down on the second, as on legs up to 8 m. The gas there stands for the part.
 LEG_SHARES = np.array([0.125, 0.875])
 # Nodes and weights of Gauss and Legendre between -1 and 1; the others are their mirror images.
 NODES = np.array([0.1834346424956498, 0.525532409916329, 0.7966664774136267, 0.9602898564975363])

@@ -1,7 +1,7 @@
 """Plumeward: simulate a gas leak, search for it with a drone, and measure how far to trust the search.
 
-Imports: plume, plume.worlds, link, link.bus, link.record, estimator, sitl, sitl.script, sitl.launch, agent,
-agent.trials, agent.learn.
+Imports: plume, plume.sensors, plume.worlds, link, link.bus, link.record, estimator, sitl, sitl.script,
+sitl.launch, agent, agent.trials, agent.learn.
 
 `import plumeward` registers the gymnasium environments `plumeward/SourceSearch-v0` and
 `plumeward/SourceSearchContinuous-v0`. It does not load gymnasium, but waits until somebody does. The other

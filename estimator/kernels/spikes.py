@@ -23,7 +23,7 @@ def _exceeds(size: float, sensor: Array) -> float:
 
 @subroutine
 def spike_density(gas: float, sensor: Array) -> float:
-    """Density of a spike of this value; its probability if it is a count, saturation, or 0 of a threshold sensor."""
+    """Density of a spike of this value; its probability if it is a count, at saturation, or not shown."""
     if sensor[0] == HITS_KIND:
         return _exceeds(gas, sensor) - _exceeds(gas + 1, sensor)
     if sensor[0] == THRESHOLD_KIND and gas == 0.0:

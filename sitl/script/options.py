@@ -72,8 +72,8 @@ def add_mission_arguments(parser: argparse.ArgumentParser) -> None:
         type=cli.checked(sensor.parse, sensor.KINDS),
         default="gaussian",
         metavar="KIND[:NUMBERS]",
-        help="the gas sensor: a name of `plumeward list sensors`, with numbers to change: threshold:0.5,0.3 or "
-        "pid:drift=0 (default: %(default)s)",
+        help="the gas sensor: a name of `plumeward list sensors`, with numbers to change: "
+        "threshold:0.5,0.3 or pid:drift=0 (default: %(default)s)",
     )
     cli.completed(kind, lambda: sensor.KINDS)
     parser.add_argument(

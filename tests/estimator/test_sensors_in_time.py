@@ -1,0 +1,117 @@
+"""Protects the likelihood of sensors in time: it is that of the element's differential equation, and the filter
+finds the posterior that a grid gives.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from estimator.filter import Config, assimilate, prior
+from estimator.kernels.densities import log_likelihoods
+from link.bus.mavlink import Reading
+from plume.sensors.instruments import INSTRUMENTS, METHANE_PPM
+from plume.sensors.names import parse
+
+WIND = (1.5, -0.5)
+RATE, DIFFUSIVITY, LIFETIME = 250.0, 3.0, 10.0
+SOURCE = (15.0, 12.0)
+LEG_S = 2 * math.sqrt(1 / 3)  # of 1 m, from rest to rest at 3 m/s²
+
+
+def gas(x: float, y: float, source: tuple[float, float] = SOURCE) -> float:
+    """Vergassola et al. 2007, eq. (S5), in plain arithmetic, g/m³."""
+    return spread(x - source[0], y - source[1], 0.0)
+
+
+def spread(east: float, north: float, depth: float) -> float:
+    u = math.hypot(*WIND)
+    r = math.hypot(east, north, depth)
+    length = math.sqrt(DIFFUSIVITY * LIFETIME / (1 + u * u * LIFETIME / (4 * DIFFUSIVITY)))
+    along = (east * WIND[0] + north * WIND[1]) / (2 * DIFFUSIVITY)
+    return RATE / (4 * math.pi * DIFFUSIVITY * r) * math.exp(-r / length - along)
+
+
+def of_the_source(sensor: str, *readings: tuple[float, float, float]) -> float:
+    """The log-likelihood that the filter gives the last of readings (x, y, gas) for the true source."""
+    config = Config(rate=RATE, diffusivity=DIFFUSIVITY, lifetime=LIFETIME, sensor=parse(sensor))
+    row = None
+    for step, (x, y, value) in enumerate(readings):
+        row = config.row(Reading(step, (x, y), 5.0, WIND, value), row)
+    assert row is not None
+    return float(log_likelihoods(np.array(SOURCE)[:, None], config.model, row)[0])
+
+
+def test_a_photoionisation_detector_is_between_its_last_reading_and_the_gas() -> None:
+    first, then = (18.0, 12.0), (17.0, 12.0)
+    value, steps = 0.4, 4000  # of the reading before
+    for k in range(steps):
+        t = (k + 0.5) / steps * LEG_S
+        share = 0.5 * 3 * t * t if t < LEG_S / 2 else 1 - 0.5 * 3 * (LEG_S - t) ** 2
+        value += (gas(first[0] - share, first[1]) - value) * LEG_S / steps / 1.3
+    value = gas(*then) + (value - gas(*then)) * math.exp(-2.0 / 1.3)
+    expected = norm(value, math.sqrt((0.1 * value) ** 2 + 0.2**2)).logpdf(1.0)
+    assert of_the_source("pid", (*first, 0.4), (*then, 1.0)) == pytest.approx(expected, abs=2e-3)
+
+
+def test_a_metal_oxide_rises_fast_and_decays_slowly() -> None:
+    def ratio(x: float) -> float:
+        return min(21.0, 120.6 * (gas(x, 12.0) / METHANE_PPM) ** -0.4877)
+
+    for first, then, before, tau in ((19.0, 18.0, 20.0, 2.96), (18.0, 19.0, 1.0, 15.71)):
+        value, steps = before, 4000
+        for k in range(steps):
+            t = (k + 0.5) / steps * LEG_S
+            share = 0.5 * 3 * t * t if t < LEG_S / 2 else 1 - 0.5 * 3 * (LEG_S - t) ** 2
+            value += (ratio(first + share * (then - first)) - value) * LEG_S / steps / tau
+        value = ratio(then) + (value - ratio(then)) * math.exp(-5.0 / tau)
+        expected = norm(value, math.sqrt((0.03 * value) ** 2 + 0.01**2)).logpdf(value + 0.1)
+        said = of_the_source("tgs2620", (first, 12.0, before), (then, 12.0, value + 0.1))
+        assert said == pytest.approx(expected, abs=2e-2)
+
+
+def test_the_first_reading_follows_clean_air() -> None:
+    value = gas(17.0, 12.0) * (1 - math.exp(-2.0 / 1.3))
+    expected = norm(value, math.sqrt((0.1 * value) ** 2 + 0.2**2)).logpdf(1.0)
+    assert of_the_source("pid", (17.0, 12.0, 1.0)) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("x", [15.3, 16.0, 20.0, 28.0])
+def test_an_open_path_sums_the_gas_below_the_vehicle(x: float) -> None:
+    column = quad(lambda depth: spread(x - SOURCE[0], 0.0, depth), 0.0, 5.0)[0]
+    expected = norm(column, math.sqrt((0.1 * column) ** 2 + 0.2**2)).logpdf(1.1 * column)
+    assert of_the_source("tdlas", (x, 12.0, 1.1 * column)) == pytest.approx(expected, abs=5e-3)
+
+
+def test_a_saturated_reading_has_the_probability_of_all_beyond() -> None:
+    limit = float(np.float32(INSTRUMENTS["pid"].saturation))
+    value = gas(15.4, 12.0) * (1 - math.exp(-2.0 / 1.3))
+    beyond = norm(value, math.sqrt((0.1 * value) ** 2 + 0.2**2)).sf(limit)
+    assert of_the_source("pid", (15.4, 12.0, limit)) == pytest.approx(math.log(beyond), abs=1e-3)
+
+
+def test_the_filter_finds_the_posterior_of_a_grid_with_a_sensor_that_lags() -> None:
+    config = Config(
+        4000, rate=RATE, diffusivity=DIFFUSIVITY, lifetime=LIFETIME, sensor=parse("pid"), area_m=30.0
+    )
+    posterior, row = prior(config), None
+    cells = (np.arange(300) + 0.5) / 10
+    grid = np.stack(np.meshgrid(cells, cells)).reshape(2, -1)
+    total, value = np.zeros(grid.shape[1]), 0.0
+    for step in range(12):
+        place = (22.0 - 0.5 * step, 11.0 + 0.25 * (step % 3))
+        value = float(np.float32(value + (gas(*place) - value) * 0.8))
+        reading = Reading(step, place, 5.0, WIND, value)
+        posterior = assimilate(posterior, reading, config)
+        row = config.row(reading, row)
+        total += log_likelihoods(grid, config.model, row)
+    shares = np.exp(total - total.max())
+    shares /= shares.sum()
+    mean = grid @ shares
+    std = np.sqrt(np.square(grid - mean[:, None]) @ shares)
+    weights = posterior.weights / posterior.weights.sum()
+    assert posterior.particles @ weights == pytest.approx(mean, abs=0.1 * float(std.max()))
+    found = np.sqrt(np.square(posterior.particles - mean[:, None]) @ weights)
+    assert found == pytest.approx(std, rel=0.12)
