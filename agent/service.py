@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import astuple
 from types import MappingProxyType
 
 import numpy as np
@@ -16,7 +15,7 @@ from link.bus.messages import Belief, Health, Particles, unpack_particles
 from link.bus.session import Arrival, Bus
 from plume.elementary import float32
 from plume.parameters import MOST, PARAMETERS
-from plume.sensors.names import parse
+from plume.sensors.names import numbers, parse
 
 
 def waypoints(text: str, within: Reach) -> dict[int, tuple[float, float]]:
@@ -131,7 +130,7 @@ def check(belief: Belief, area_m: float) -> None:
         )
     positive = belief.rate, belief.diffusivity, belief.lifetime
     others = (
-        *astuple(parse(belief.sensor)),
+        *numbers(parse(belief.sensor)).values(),
         *belief.wind,
         belief.gas,
         belief.altitude_m,

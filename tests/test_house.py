@@ -268,6 +268,7 @@ MAY_BE_INEXACT = {
     "estimates from them",
     "plume.sensors.sensor": "the definition of the likelihoods, with which tests and benchmarks compare the kernels; "
     "no flight calls it",
+    "plume.sensors.instruments": "the definition of their likelihoods, as of plume.sensors.sensor",
     "plume.worlds.world": "beta draws of correlated gas, rounded to float32 with the reading",
     "agent.learn.render": "a picture",
     "agent.learn.train": "training, which promises the same policy on the same machine only",

@@ -1,1 +1,4 @@
-"""Building blocks of planners: moves, and predictions of future readings. Imports: plume, plume.sensors, link.bus."""
+"""Building blocks of planners: moves, and predictions of future readings.
+
+Imports: plume, plume.sensors, link.bus.
+"""
