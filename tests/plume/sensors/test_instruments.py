@@ -5,7 +5,6 @@ import re
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 from plume.sensors.instruments import INSTRUMENTS, METHANE_PPM
 from plume.sensors.names import Sensor, parse, text
@@ -56,6 +55,8 @@ def test_a_metal_oxide_never_reads_more_than_in_clean_air(sensor: str, air: floa
 
 @pytest.mark.parametrize("distance", [0.1, 0.5, 3.0, 20.0])
 def test_gas_is_summed_along_a_ray(distance: float) -> None:
+    from scipy.integrate import quad
+
     depths, lengths = rays(5.0)
 
     def gas(depth: float) -> float:
@@ -68,6 +69,8 @@ def test_gas_is_summed_along_a_ray(distance: float) -> None:
 
 
 def test_a_reading_at_saturation_has_the_probability_of_all_beyond() -> None:
+    from scipy.integrate import quad
+
     sensor = parse("pid:saturation=5")
     wide = parse("pid:saturation=1e12")
     beyond = quad(lambda z: math.exp(float(wide.log_likelihood(z, 4.8))), 5.0, 12.0)[0]
