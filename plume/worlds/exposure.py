@@ -87,7 +87,7 @@ def _spread(start_s: float, duration_s: float, rate: float) -> tuple[Array, Arra
     """Return the middles and the lengths of the even parts, 1/rate at most, of a time."""
     number = min(max(math.ceil(duration_s * rate), 1), MOST_SAMPLES)
     part_s = duration_s / number
-    return start_s + (np.arange(number) + 0.5) * part_s, np.full(number, part_s)
+    return np.asarray(start_s + (np.arange(number) + 0.5) * part_s, np.float64), np.full(number, part_s)
 
 
 def _along_rays(air: Ask, sensor: Sensor, at: Array, times_s: Array) -> Array:
