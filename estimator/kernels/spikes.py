@@ -1,24 +1,29 @@
 """Spikes: readings that say nothing of the source. How they are distributed, whatever the hypothesis.
 
-A spike has either sign and any size: the probability that it exceeds z is √(s/(s + z)), where s is SIZE
-standard deviations of the noise in clean air. A threshold sensor reads 0 where a spike is below its
-threshold, and a count is never negative.
+A spike is no noise, and of any size: the probability that it exceeds z is (1 + (z/s)²)^(−1/4), where s is
+SIZE standard deviations of the noise in clean air. It goes up or down; for a sensor that shows nothing below
+0, up. A threshold sensor reads 0 where a spike is below its threshold.
 """
 
 import math
 
 from plume.compiled import subroutine
 from plume.elementary import Array
-from plume.sensor import HITS_KIND, THRESHOLD_KIND
+from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 
 SIZE = 10.0
 
 
 @subroutine
+def _scale(sensor: Array) -> float:
+    return SIZE * (math.sqrt(sensor[2]) if sensor[0] == HITS_KIND else sensor[2])
+
+
+@subroutine
 def _exceeds(size: float, sensor: Array) -> float:
     """Probability that a spike is greater than a size, whatever its sign."""
-    scale = SIZE * (math.sqrt(sensor[2]) if sensor[0] == HITS_KIND else sensor[2])
-    return math.sqrt(scale / (scale + size))
+    ratio = size / _scale(sensor)
+    return 1 / math.sqrt(math.sqrt(1 + ratio * ratio))
 
 
 @subroutine
@@ -27,26 +32,19 @@ def spike_density(gas: float, sensor: Array) -> float:
     if sensor[0] == HITS_KIND:
         return _exceeds(gas, sensor) - _exceeds(gas + 1, sensor)
     if sensor[0] == THRESHOLD_KIND and gas == 0.0:
-        return spike_distribution(sensor[3], sensor)
-    scale = SIZE * sensor[2]
-    return float(0.25 * _exceeds(abs(gas), sensor) / (scale + abs(gas)))
-
-
-@subroutine
-def spike_distribution(gas: float, sensor: Array) -> float:
-    """Probability of a spike of at most this value, or count of -1 or more."""
-    if sensor[0] == HITS_KIND:
-        return 1 - _exceeds(gas + 1, sensor)
-    half = 0.5 * _exceeds(abs(gas), sensor)
-    return 1 - half if gas > 0 else half
+        return 1 - _exceeds(sensor[3], sensor)
+    scale = _scale(sensor)
+    ratio = abs(gas) / scale
+    density = 0.5 * ratio * _exceeds(abs(gas), sensor) / (scale * (1 + ratio * ratio))
+    return float(0.5 * density if sensor[0] == GAUSSIAN_KIND else density)
 
 
 @subroutine
 def spike_rank(gas: float, sensor: Array, chance: float) -> float:
     """Rank of a value among spikes; `chance` in (0, 1) breaks ties, as in `predictive_rank`."""
+    if sensor[0] == GAUSSIAN_KIND:
+        half = 0.5 * _exceeds(abs(gas), sensor)
+        return 1 - half if gas > 0 else half
     if sensor[0] == HITS_KIND:
-        below = spike_distribution(gas - 1, sensor)
-        return below + chance * (spike_distribution(gas, sensor) - below)
-    if sensor[0] == THRESHOLD_KIND and gas == 0.0:
-        return chance * spike_distribution(sensor[3], sensor)
-    return spike_distribution(gas, sensor)
+        return 1 - _exceeds(gas, sensor) + chance * spike_density(gas, sensor)
+    return 1 - _exceeds(gas, sensor) if gas > 0 else chance * spike_density(gas, sensor)
