@@ -1,6 +1,6 @@
 """Spikes: readings that say nothing of the source. How they are distributed, whatever the hypothesis.
 
-A spike is no noise, and of any size: the probability that it exceeds z is (1 + (z/s)²)^(−1/4), where s is
+A spike is no noise, and of any size: the probability that it exceeds z is 1/√(1 + (z/s)²), where s is
 SIZE standard deviations of the noise in clean air. It goes up or down; for a sensor that shows nothing below
 0, up. A threshold sensor reads 0 where a spike is below its threshold.
 """
@@ -11,7 +11,7 @@ from plume.compiled import subroutine
 from plume.elementary import Array
 from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 
-SIZE = 10.0
+SIZE = 7.0
 
 
 @subroutine
@@ -23,7 +23,7 @@ def _scale(sensor: Array) -> float:
 def _exceeds(size: float, sensor: Array) -> float:
     """Probability that a spike is greater than a size, whatever its sign."""
     ratio = size / _scale(sensor)
-    return 1 / math.sqrt(math.sqrt(1 + ratio * ratio))
+    return 1 / math.sqrt(1 + ratio * ratio)
 
 
 @subroutine
@@ -35,7 +35,7 @@ def spike_density(gas: float, sensor: Array) -> float:
         return 1 - _exceeds(sensor[3], sensor)
     scale = _scale(sensor)
     ratio = abs(gas) / scale
-    density = 0.5 * ratio * _exceeds(abs(gas), sensor) / (scale * (1 + ratio * ratio))
+    density = ratio * _exceeds(abs(gas), sensor) / (scale * (1 + ratio * ratio))
     return float(0.5 * density if sensor[0] == GAUSSIAN_KIND else density)
 
 

@@ -36,21 +36,21 @@ EXACT: dict[str, Prior] = {
 
 def exceeds(size: float, scale: float) -> float:
     """The probability that a spike is greater, whatever its sign."""
-    return float((1 + (size / scale) ** 2) ** -0.25)
+    return scale / math.hypot(scale, size)
 
 
 def probability(gas: float, sensor: Sensor) -> float:
     """Density of a spike, as a difference quotient; or its probability."""
     match sensor:
         case Hits(_, background):
-            scale = 10 * math.sqrt(background)
+            scale = 7 * math.sqrt(background)
             return exceeds(gas, scale) - exceeds(gas + 1, scale)
         case Threshold(threshold, _, _, floor):
-            scale, sides = 10 * floor, 1
+            scale, sides = 7 * floor, 1
             if gas == 0.0:
                 return 1 - exceeds(threshold, scale)
         case Gaussian(_, floor):
-            scale, sides = 10 * floor, 2
+            scale, sides = 7 * floor, 2
     return (exceeds(abs(abs(gas) - 1e-5), scale) - exceeds(abs(gas) + 1e-5, scale)) / 2e-5 / sides
 
 
@@ -100,11 +100,11 @@ def spike_density(gas: float, sensor: Sensor) -> float:
 def test_the_density_of_spikes_is_one_in_all() -> None:
     sides = [(-np.inf, -1.0), (1.0, np.inf)]  # within ±1 g/m³ there are readings of clean air
     total = sum(integrate.quad(spike_density, *ends, args=(GAUSSIAN,), limit=200)[0] for ends in sides)
-    assert total == pytest.approx(exceeds(1.0, 2.0), rel=1e-5)
+    assert total == pytest.approx(exceeds(1.0, 1.4), rel=1e-5)
     above = integrate.quad(spike_density, 1.0, np.inf, args=(Threshold(),), limit=200)[0]
-    assert above == pytest.approx(exceeds(1.0, 2.0), rel=1e-5)
+    assert above == pytest.approx(exceeds(1.0, 1.4), rel=1e-5)
     assert sum(spike_density(float(k), Hits()) for k in range(20, 3000)) == pytest.approx(
-        exceeds(20.0, math.sqrt(10.0)) - exceeds(3000.0, math.sqrt(10.0)), rel=1e-5
+        exceeds(20.0, 7 * math.sqrt(0.1)) - exceeds(3000.0, 7 * math.sqrt(0.1)), rel=1e-5
     )
 
 
@@ -173,11 +173,11 @@ def test_ranks_of_readings_are_uniform_if_their_share_of_spikes_is_as_assumed(se
     rng, count, ranks = np.random.default_rng(5), 3000, []
     where = (13.0, 11.5)
     mean = concentration(where, (12.0, 13.0), (1.9, 2.6), rate=270.0, diffusivity=4.2, lifetime=10.0)
-    scale = 10 * (math.sqrt(0.1) if isinstance(sensor, Hits) else 0.2)
+    scale = 7 * (math.sqrt(0.1) if isinstance(sensor, Hits) else 0.2)
     for number in range(count):
         gas = float(sensor.measure(mean, rng))
         if rng.random() < SHARE:  # by inversion of the probability to exceed a size
-            gas = scale * math.sqrt(rng.random() ** -4 - 1)
+            gas = scale * math.sqrt(rng.random() ** -2 - 1)
             match sensor:
                 case Hits():
                     gas = math.floor(gas)
@@ -202,7 +202,7 @@ def vars_of(config: Config) -> dict:
 def fits(spikes: int) -> bool:
     """Whether 30 readings fit the model if so many of them are spikes of 8 g/m³ and the others as expected."""
     rest = np.linspace(0.02, 0.98, 30 - spikes)
-    rank = (1 - SHARE) + SHARE * (1 - 0.5 * exceeds(8.0, 2.0))
+    rank = (1 - SHARE) + SHARE * (1 - 0.5 * exceeds(8.0, 1.4))
     posterior = Posterior(
         np.ones((2, 1)),
         np.zeros(1),
