@@ -23,7 +23,7 @@ from plume.walls.cells import Cells, Mask, cells_of
 WEST, EAST, SOUTH, NORTH, PER_WIND = 0, 1, 2, 3, 4
 RESIDUAL = 1e-12  # of the root of the sum of squared divergences, in cells and unit winds
 MOST_ITERATIONS = 20_000
-MODIFIED, SAFE = 0.97, 0.25  # of the preconditioner
+MODIFIED, SAFE = 0.99, 0.25  # of the preconditioner
 
 
 @lru_cache(16)

@@ -18,7 +18,7 @@ from plume.walls.cells import CELL_M, FREE, Cells
 from plume.walls.flow import flow_around
 from plume.walls.puff_kernels import CELL_S, STEP_S, TIME, advance, gas_at, in_the_air, releases, wind_at
 
-AHEAD = 16  # cells of time that are drawn at once
+AHEAD = 5  # cells of time that are drawn at once
 STEPS = round(AHEAD * CELL_S / STEP_S)  # times of the grid in them
 KEPT = 64  # earlier states that are kept for whoever asks again
 LIFETIMES, OLDEST_S = 5.0, 600.0  # puffs are dropped at an age of so many lifetimes, and at this one
@@ -71,7 +71,7 @@ class Walled:
         )
         # States of the puffs at the beginning of each stretch of AHEAD cells, with all that leave in it.
         self._kept: dict[int, Array] = {}
-        self._first = -math.ceil(oldest_s / (AHEAD * CELL_S)) - 1  # stretch of the first releases
+        self._first = -math.ceil(oldest_s / (AHEAD * CELL_S))  # stretch of the first releases
         self._stretch, self._step, self._puffs = self._first, self._first * STEPS, np.empty((7, 0))
         self._begin(self._first)
 
