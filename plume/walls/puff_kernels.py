@@ -67,7 +67,7 @@ def releases(seed: int, first: int, cells: int, expected: float, source: Array) 
 @subroutine
 def own_of(age_s: float, release: Array) -> float:
     """Return the variance of a puff's own at an age, m²."""
-    return release[6] + release[7] * age_s
+    return float(release[6] + release[7] * age_s)
 
 
 @subroutine
