@@ -38,7 +38,7 @@ def draw() -> None:
         axes.fill(*outline(building).T, color="0.35", alpha=0.9)
         axes.annotate(
             f"{building.height:g} m",
-            outline(building).mean(axis=0),
+            outline(building)[[0, 2]].mean(axis=0),
             ha="center",
             va="center",
             color="white",
