@@ -14,6 +14,10 @@ class WorldError(ValueError):
     """The air of a world could not be asked, or said what no air can say; the text is one line."""
 
 
+class NoRelease(ValueError):
+    """In this world gas cannot leave where the source is, as inside a building; elsewhere it can."""
+
+
 class Air(Protocol):
     """The gas and the wind of one mission.
 
@@ -30,7 +34,7 @@ class Air(Protocol):
 
 
 # Makes the air of a mission: (truth, seed, parameters by keyword) -> Air. Raises ValueError on a parameter
-# that is not allowed.
+# that is not allowed, and NoRelease.
 Make = Callable[..., Air]
 
 

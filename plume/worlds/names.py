@@ -6,18 +6,20 @@ All commands, scripts, environments and functions take these names.
 import inspect
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple
 
 from plume.scenario import AS_MODELLED, Scenario, draw
-from plume.worlds.air import Air, Make, Steady
+from plume.worlds.air import Air, Make, NoRelease, Steady
 from plume.worlds.errors import WRONG, Errors, combined
 
 # Where the gas of each kind is made. It is loaded when it is first asked for.
 GASES = {
     "puffs": "plume.worlds.puffs:puffs",
+    "walls": "plume.walls.walls:walls",
     "recorded": "plume.recorded.air:recorded",
 }
 OURS = (AS_MODELLED, *GASES, *WRONG)  # of which the project's own worlds are made
@@ -69,7 +71,8 @@ def named(name: str) -> Named:
     world = Named(make, parameters, tuple(each for each in wrong if each != AS_MODELLED))
     try:
         world.errors(0)
-        world.air(draw(0), 0)
+        with suppress(NoRelease):
+            world.air(draw(0), 0)
     except ValueError as error:
         raise ValueError(f"world {name!r} is not allowed: {error}") from None
     return world

@@ -41,7 +41,7 @@ def test_a_list_of_worlds_keeps_the_commas_of_parameters() -> None:
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("breeze", "no world 'breeze'; wanted as-modelled, puffs, recorded, wind-10, "),
+        ("breeze", "no world 'breeze'; wanted as-modelled, puffs, walls, recorded, wind-10, "),
         ("", "no world ''; wanted as-modelled, "),
         ("puffs+", "world 'puffs+' is not allowed: puffs and  are both a gas; wanted one"),
         ("puffs+puffs", "world 'puffs+puffs' is not allowed: puffs and puffs are both a gas; wanted one"),
