@@ -110,7 +110,7 @@ def worlds() -> dict[str, str]:
                 make, whence = _load(GASES[kind]), ""
             else:
                 continue
-            listed[kind] = _first_line(make) + _with_parameters(kind, make) + whence
+            listed[kind] = _first_line(make) + _with_parameters(make) + whence
         except ValueError as error:
             listed[kind] = str(error)
     return listed | {kind: wrong.about for kind, wrong in WRONG.items()}
@@ -187,10 +187,10 @@ def _first_line(make: Make) -> str:
     return line[:1].lower() + line[1:]
 
 
-def _with_parameters(kind: str, make: Make) -> str:
-    """Say which parameters a world has, with their defaults, as they are written."""
-    allowed = ",".join(
+def _with_parameters(make: Make) -> str:
+    """Say which parameters a world has, with their defaults."""
+    allowed = ", ".join(
         f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
         for name, value in _allowed(make).items()
     )
-    return f": {kind}:{allowed}" if allowed else ""
+    return f"; {allowed}" if allowed else ""

@@ -66,4 +66,4 @@ def test_a_name_that_is_none_is_told_in_one_line(name: str, reason: str) -> None
 
 
 def test_the_list_shows_each_gas_with_its_parameters() -> None:
-    assert worlds()["puffs"].endswith(": puffs:share=0.2,rate=10,size=0.1,meander=0,gusts=0,wander=20")
+    assert worlds()["puffs"].endswith("; share=0.2, rate=10, size=0.1, meander=0, gusts=0, wander=20")

@@ -112,8 +112,7 @@ def test_a_mission_over_the_bus_follows_a_plug_in_to_the_bit(pulses: Path) -> No
 
 def test_the_list_shows_a_plug_in(pulses: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert worlds()["pulsed"] == (
-        "a leak that opens and closes: the steady plume, part of the time: pulsed:period_s=20,share=0.5 "
-        "[plug-in]"
+        "a leak that opens and closes: the steady plume, part of the time; period_s=20, share=0.5 [plug-in]"
     )
 
 
