@@ -10,7 +10,7 @@ import numpy as np
 
 from plume.scenario import Scenario
 from plume.walls.buildings import outline, read
-from plume.walls.walls import walls
+from plume.walls.making import walls
 
 PICTURE = Path(__file__).parents[1] / "walls.png"
 

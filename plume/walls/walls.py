@@ -13,7 +13,7 @@ import numpy as np
 from plume.elementary import Array
 from plume.randomness import derived_seed
 from plume.scenario import Scenario
-from plume.walls.buildings import Buildings, read
+from plume.walls.buildings import Buildings
 from plume.walls.cells import CELL_M, FREE, Cells
 from plume.walls.flow import flow_around
 from plume.walls.puff_kernels import CELL_S, STEP_S, TIME, advance, gas_at, in_the_air, releases, wind_at
@@ -23,30 +23,6 @@ AHEAD = 5  # cells of time that are drawn at once
 STEPS = round(AHEAD * CELL_S / STEP_S)  # times of the grid in them
 KEPT = 64  # earlier states that are kept for whoever asks again
 LIFETIMES, OLDEST_S = 5.0, 600.0  # puffs are dropped at an age of so many lifetimes, and at this one
-LIMITS = {"share": (0.0, 1.0), "rate": (0.1, 100.0), "size": (0.01, 10.0)}
-
-
-def walls(
-    scenario: Scenario,
-    seed: int,
-    *,
-    file: str = "",
-    share: float = 0.2,
-    rate: float = 10.0,
-    size: float = 0.1,
-) -> "Walled":
-    """Gas in puffs among buildings, around which the wind flows.
-
-    file: of the buildings, or the name of a shipped one; by default there are none. share: of the diffusivity
-    that widens a puff; the rest moves it whole. rate: puffs a second. size: standard deviation of a new puff,
-    m. Raises ValueError on a number outside `LIMITS`, on a file that is none, and NoRelease.
-    """
-    given = {"share": share, "rate": rate, "size": size}
-    for name, value in given.items():
-        low, high = LIMITS[name]
-        if not low <= value <= high:
-            raise ValueError(f"{name} is {value:g}; wanted a number from {low:g} to {high:g}")
-    return Walled(scenario, seed, read(file), **given)
 
 
 class Walled:

@@ -19,7 +19,7 @@ from plume.worlds.errors import WRONG, Errors, combined
 # Where the gas of each kind is made. It is loaded when it is first asked for.
 GASES = {
     "puffs": "plume.worlds.puffs:puffs",
-    "walls": "plume.walls.walls:walls",
+    "walls": "plume.walls.making:walls",
     "recorded": "plume.recorded.air:recorded",
 }
 OURS = (AS_MODELLED, *GASES, *WRONG)  # of which the project's own worlds are made
