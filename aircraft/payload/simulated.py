@@ -5,6 +5,8 @@ import math
 import msgspec
 
 from aircraft.payload.messages import Question, Sample
+from link.cli import BadInput
+from plume.scenario import WorldError
 from plume.worlds.world import World
 
 
@@ -15,10 +17,16 @@ class Simulated:
     """
 
     def __init__(self, world: World) -> None:
-        """Take the world, and a first look at it: some worlds compile, which takes seconds."""
+        """Take the world, and a first look at it: some worlds compile, which takes seconds.
+
+        Raises BadInput if it fails.
+        """
         self.world = world
         self._lost = -1
-        world.measure(world.start, 0)
+        try:
+            world.measure(world.start, 0)
+        except WorldError as error:
+            raise BadInput(f"--world: {error}") from error
 
     def __call__(self, question: Question, time_s: float | None = None) -> Sample:
         """Measure once.

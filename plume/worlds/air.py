@@ -10,10 +10,6 @@ from plume.elementary import Array
 from plume.scenario import Scenario
 
 
-class WorldError(ValueError):
-    """The air of a world could not be asked, or said what no air can say; the text is one line."""
-
-
 class NoRelease(ValueError):
     """In this world gas cannot leave where the source is, as inside a building; elsewhere it can."""
 

@@ -14,9 +14,9 @@ import numpy as np
 from plume.elementary import Array, direction, float32
 from plume.flight import usual_s
 from plume.randomness import Abreast, Keyed, keyed, uniform
-from plume.scenario import AS_MODELLED, SOURCE_HIGH_M, SOURCE_LOW_M, Scenario, draw
+from plume.scenario import AS_MODELLED, SOURCE_HIGH_M, SOURCE_LOW_M, Scenario, WorldError, draw
 from plume.sensor import GAUSSIAN, Hits, Sensor, Threshold
-from plume.worlds.air import Air, NoRelease, Steady, WorldError, gas_of
+from plume.worlds.air import Air, NoRelease, Steady, gas_of
 from plume.worlds.names import Named, named
 
 WindVector = tuple[float, float]  # (u cos φ, u sin φ) m/s, float32: points to where it comes from

@@ -16,8 +16,7 @@ from agent.learn.env import SourceSearchVector
 from agent.trials.rollout import rollout
 from plume.dispersion import concentration
 from plume.randomness import keyed
-from plume.scenario import draw
-from plume.worlds.air import WorldError
+from plume.scenario import WorldError, draw
 from plume.worlds.names import named, worlds
 from plume.worlds.world import World
 from plumeward.evaluation import evaluate
@@ -146,3 +145,21 @@ def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
     with pytest.raises(ValueError, match=r"^world gone of badworlds:gone does not load: AttributeError: "):
         named("gone")
     assert worlds()["gone"].startswith("world gone of badworlds:gone does not load")
+
+
+def test_a_plug_in_that_fails_ends_a_mission_with_a_line(tmp_path: Path) -> None:
+    install(tmp_path, "badworlds", BAD, broken="broken")
+    fly = ["sitl", "fly", "--speedup", "0", "--no-record"]
+    for command, status in ((["agent", "rollout"], 1), (fly, 2)):
+        done = subprocess.run(
+            [sys.executable, "-m", *command, "--world", "broken"],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            timeout=400,
+        )
+        last = done.stderr.splitlines()[-1]
+        assert (done.returncode, "world broken failed: ZeroDivisionError: " in last) == (status, True), (
+            done.stderr
+        )
