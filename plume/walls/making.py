@@ -3,8 +3,7 @@
 from plume.scenario import Scenario
 from plume.walls.buildings import read
 from plume.worlds.air import Air
-
-LIMITS = {"share": (0.0, 1.0), "rate": (0.1, 100.0), "size": (0.01, 10.0)}
+from plume.worlds.puffs import within_limits
 
 
 def walls(
@@ -20,13 +19,9 @@ def walls(
 
     file: of the buildings, or the name of a shipped one; by default there are none. share: of the diffusivity
     that widens a puff; the rest moves it whole. rate: puffs a second. size: standard deviation of a new puff,
-    m. Raises ValueError on a number outside `LIMITS`, on a file that is none, and NoRelease.
+    m. Raises ValueError on a number that `puffs` does not take, on a file that is none, and NoRelease.
     """
-    given = {"share": share, "rate": rate, "size": size}
-    for name, value in given.items():
-        low, high = LIMITS[name]
-        if not low <= value <= high:
-            raise ValueError(f"{name} is {value:g}; wanted a number from {low:g} to {high:g}")
+    given = within_limits(share=share, rate=rate, size=size)
     from plume.walls.walls import Walled  # which loads the compiler
 
     return Walled(scenario, seed, read(file), **given)

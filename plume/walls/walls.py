@@ -18,11 +18,11 @@ from plume.walls.cells import CELL_M, FREE, Cells
 from plume.walls.flow import flow_around
 from plume.walls.puff_kernels import CELL_S, STEP_S, TIME, advance, gas_at, in_the_air, releases, wind_at
 from plume.worlds.air import NoRelease
+from plume.worlds.puffs import LIFETIMES, OLDEST_S
 
 AHEAD = 5  # cells of time that are drawn at once
 STEPS = round(AHEAD * CELL_S / STEP_S)  # times of the grid in them
 KEPT = 64  # earlier states that are kept for whoever asks again
-LIFETIMES, OLDEST_S = 5.0, 600.0  # puffs are dropped at an age of so many lifetimes, and at this one
 
 
 class Walled:
