@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from plume.compiled import kernel, subroutine
-from plume.draws import key_of, normals, uniform
+from plume.draws import key_of, normals, poisson, uniform
 from plume.elementary import Array
 from plume.numerics import exp, total_of
 from plume.walls.motion import carried, cell_of, moved, sees, top_at, velocity_at
@@ -28,15 +28,8 @@ FAR = 18.0  # half the squared distance from a puff, by its variance, from which
 
 @subroutine
 def count_of(seed: int, cell: int, expected: float) -> int:
-    """Draw the Poisson number of puffs that leave in a cell of time, by inversion."""
-    chance = uniform(key_of(seed, cell + EARLIEST, 0, OF_THE_COUNT), 0)
-    share, count = exp(-expected), 0
-    total = share
-    while chance > total and share > 0.0:
-        count += 1
-        share *= expected / count
-        total += share
-    return count
+    """Draw the number of puffs that leave in a cell of time."""
+    return poisson(key_of(seed, cell + EARLIEST, 0, OF_THE_COUNT), 0, expected)
 
 
 @kernel("float64[:, ::1](uint64, int64, int64, float64, float64[::1])")
