@@ -42,11 +42,10 @@ class Walled:
         self._release = np.array(
             [*s.source, s.height, s.q / rate, s.tau, oldest_s, size * size, share * spread, spread]
         )
-        # States of the puffs at the beginning of each stretch of AHEAD cells, with all that leave in it.
+        # Whole states of the puffs at the beginning of stretches of AHEAD cells, with all that leave in them.
         self._kept: dict[int, Array] = {}
         self._first = -math.ceil(oldest_s / (AHEAD * CELL_S))  # stretch of the first releases
-        self._stretch, self._step, self._puffs = self._first, self._first * STEPS, np.empty((7, 0))
-        self._begin(self._first)
+        self._start_at(self._first)
 
     def __call__(self, places: Array, times_s: Array) -> tuple[Array, Array]:
         """Return gas and wind, as of `plume.worlds.air.Air`."""
@@ -64,11 +63,18 @@ class Walled:
         stretch = step // STEPS
         if stretch < self._stretch or (stretch == self._stretch and step < self._step):
             self._go_back(stretch)
+        if self._stretch < stretch + self._first:  # nothing that is in the air now will be then
+            self._start_at(stretch + self._first)
         while self._stretch < stretch:
             self._advance((self._stretch + 1) * STEPS)
             self._begin(self._stretch + 1)
         self._advance(step)
         return in_the_air(self._puffs, step, time_s, self._release, *self._around)
+
+    def _start_at(self, stretch: int) -> None:
+        """Start with empty air: states are whole, and kept, once all that left before has been dropped."""
+        self._step, self._puffs, self._whole = stretch * STEPS, np.empty((7, 0)), stretch - self._first
+        self._begin(stretch)
 
     def _advance(self, step: int) -> None:
         if step > self._step:
@@ -81,13 +87,19 @@ class Walled:
         young = self._puffs[:, self._puffs[TIME] >= stretch * AHEAD * CELL_S - oldest_s]
         new = releases(self._seed, stretch * AHEAD, AHEAD, self._expected, self._release)
         self._puffs, self._stretch = np.ascontiguousarray(np.hstack([young, new])), stretch
-        if stretch != self._first and len(self._kept) == KEPT:
-            del self._kept[min(each for each in self._kept if each != self._first)]
+        if stretch < self._whole:
+            return
+        if len(self._kept) == KEPT:
+            del self._kept[min(self._kept)]
         self._kept[stretch] = self._puffs.copy()
 
     def _go_back(self, stretch: int) -> None:
-        """Go back to the last state that is kept from the beginning of a stretch or before it."""
-        self._stretch = max((each for each in self._kept if each <= stretch), default=self._first)
+        """Go back to the last state that is kept from the beginning of a stretch or before it, or to none."""
+        earlier = [each for each in self._kept if each <= stretch]
+        if not earlier:
+            self._start_at(stretch + self._first)
+            return
+        self._stretch = max(earlier)
         self._step, self._puffs = self._stretch * STEPS, self._kept[self._stretch].copy()
 
 

@@ -73,8 +73,10 @@ def named(name: str) -> Named:
         world.errors(0)
         with suppress(NoRelease):
             world.air(draw(0), 0)
-    except ValueError as error:
-        raise ValueError(f"world {name!r} is not allowed: {error}") from None
+    except Exception as error:  # it may be anybody's code
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        said = " ".join(str(error).split())[:LONGEST]
+        raise ValueError(f"world {name!r} is not allowed: {kind}{said}") from error
     return world
 
 
@@ -139,12 +141,15 @@ def _plugged_in(kind: str) -> Make:
         )
     try:
         make: Make = plugins[0].load()
-        inspect.signature(make)
+        allowed = _allowed(make)
     except Exception as error:  # it may be anybody's code
         said = " ".join(str(error).split())[:200]
         raise ValueError(
             f"world {kind} of {plugins[0].value} does not load: {type(error).__name__}: {said}"
         ) from error
+    for name, default in allowed.items():
+        if type(default) not in (float, int, str):
+            raise ValueError(f"world {kind}: its parameter {name} has no default that is a number or text")
     return make
 
 

@@ -188,6 +188,19 @@ def test_what_is_long_past_has_the_same_bits_when_it_is_asked_again() -> None:
     assert [air(place, times[k : k + 1])[0].tolist() for k in (2, 0, 1)] == [before[2], before[0], before[1]]
 
 
+def test_a_leap_in_time_has_the_same_bits_as_each_second_on_the_way() -> None:
+    """Gas is in the air for 10 s; a day of it would take hours to follow."""
+    s, places = msgspec.structs.replace(draw(11), tau=2.0), np.tile([[15.0, 15.0, 0.0]], (140, 1))
+    times = np.arange(140.0) * 0.7
+    stepwise = walls(s, 11, file="courtyard")(places, times)[0].tolist()
+    for k in (139, 60, 15):
+        air = walls(s, 11, file="courtyard")
+        assert air(places[:1], times[k : k + 1])[0].tolist() == stepwise[k : k + 1]
+        assert air(places[:1], np.array([5e6]))[0].shape == (1,)
+        for again in (k, 3, 100):
+            assert air(places[:1], times[again : again + 1])[0].tolist() == stepwise[again : again + 1]
+
+
 def test_other_seeds_have_other_puffs() -> None:
     s = draw(11)
     assert walls(s, 1).puffs(0.0).tolist() != walls(s, 2).puffs(0.0).tolist()

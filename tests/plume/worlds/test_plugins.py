@@ -124,13 +124,31 @@ def broken(scenario, seed):
 def strange(scenario, seed, *, gas: float = -1.0):
     """A world of negative gas."""
     return lambda places, times_s: (gas, (0.0, 0.0))
+
+
+def bare(scenario, seed, *, share):
+    """A world whose parameter has no default."""
+
+
+def raising(scenario, seed, *, share: float = 0.1):
+    """A world that cannot be made."""
+    raise KeyError("lost")
 '''
 
 
 def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    install(tmp_path, "badworlds", BAD, broken="broken", strange="strange", gone="gone")
+    install(
+        tmp_path,
+        "badworlds",
+        BAD,
+        broken="broken",
+        strange="strange",
+        gone="gone",
+        bare="bare",
+        raising="raising",
+    )
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(
         WorldError,
@@ -144,6 +162,12 @@ def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
         World(draw(1), 1, name="strange").gas((1.0, 2.0), 0)
     with pytest.raises(ValueError, match=r"^world gone of badworlds:gone does not load: AttributeError: "):
         named("gone")
+    with pytest.raises(
+        ValueError, match=r"^world bare: its parameter share has no default that is a number or"
+    ):
+        named("bare")
+    with pytest.raises(ValueError, match=r"^world 'raising' is not allowed: KeyError: 'lost'$"):
+        named("raising")
     assert worlds()["gone"].startswith("world gone of badworlds:gone does not load")
 
 
