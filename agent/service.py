@@ -14,9 +14,9 @@ from link.bus.keys import BELIEF, HEALTH, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, elapsed_ms, waypoint_message
 from link.bus.messages import Belief, Health, Particles, unpack_particles
 from link.bus.session import Arrival, Bus
+from plume.elementary import float32
 from plume.parameters import MOST, PARAMETERS
 from plume.sensor import parse
-from plume.world import float32
 
 
 def waypoints(text: str, within: Reach) -> dict[int, tuple[float, float]]:

@@ -157,7 +157,7 @@ def parts(count: int) -> dict[str, float]:
     for owner, name, part in (
         (env, "step", "the rest: moves, infos, copies"),
         (missions, "begin", "missions that follow: scenario and prior"),
-        (agent.learn.missions, "gas_of", "readings"),
+        (agent.learn.missions, "readings_of", "readings"),
         (missions._batch, "assimilate", "filter"),
         (missions._batch, "may_claim", "whether a stop may be claimed"),
     ):

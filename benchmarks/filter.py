@@ -15,7 +15,7 @@ from estimator.filter import Config, prior
 from estimator.kernels.densities import log_likelihoods
 from estimator.kernels.update import update
 from plume.scenario import AREA_M, draw
-from plume.world import World
+from plume.worlds.world import World
 
 Array = NDArray[np.float64]
 

@@ -29,9 +29,10 @@ from estimator.kernels.weights import moments
 from link.bus.mavlink import Reading
 from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.elementary import float32
 from plume.randomness import derived_seed
 from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario, draw
-from plume.world import World, float32
+from plume.worlds.world import World
 
 Array = NDArray[np.float64]
 

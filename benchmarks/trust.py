@@ -30,9 +30,12 @@ from agent.trials.workers import WorkerLost
 from estimator.criterion import Criterion
 from link import cli
 from link.files import whole
-from plume.worlds import AS_MODELLED, WORLDS, check
+from plume.scenario import AS_MODELLED
+from plume.worlds.errors import WRONG
+from plume.worlds.names import check
 
 ROOT = Path(__file__).parents[1]
+WORLDS = (AS_MODELLED, *WRONG)
 RESULTS = ROOT / "results" / "trust"
 PAGE = ROOT / "docs" / "trust.md"
 FIGURES = "figures.csv"

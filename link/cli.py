@@ -184,9 +184,11 @@ def _accepted(kind: Callable[[str], T], accepts: Callable[[T], bool], wanted: st
     return parse
 
 
-def listed(parse: Callable[[str], Any]) -> Callable[[str], list[Any]]:
-    """Argument type: several between commas, each once."""
-    return lambda text: list(dict.fromkeys(parse(item) for item in text.split(",")))
+def listed(
+    parse: Callable[[str], Any], separate: Callable[[str], Sequence[str]] = lambda text: text.split(",")
+) -> Callable[[str], list[Any]]:
+    """Argument type: several between commas, each once. separate: what splits the list."""
+    return lambda text: list(dict.fromkeys(parse(item) for item in separate(text)))
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:

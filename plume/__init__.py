@@ -1,4 +1,4 @@
-"""The physics that all parts share: dispersion, sensors, scenarios, the world that one mission flies in.
+"""The physics that all parts share: dispersion, sensors, scenarios, draws, and how long a leg takes.
 Imports: nothing of ours.
 """
 

@@ -15,25 +15,33 @@ LOG2_E = 1.4426950408889634
 # ln 2 in two parts; a whole number below 2^20 times the first one is exact.
 LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 SQRT_HALF = 0.7071067811865476
+# Taylor's coefficients of e^x, 1/12! first.
+TAYLOR = tuple(1 / n for n in (479001600, 39916800, 3628800, 362880, 40320, 5040, 720, 120, 24, 6, 2, 1, 1))
+
+
+def float32(value: float) -> float:
+    """Round to the nearest float32, as the wire rounds positions, wind and gas.
+
+    In-process missions round the same way.
+    """
+    return float(np.float32(value))
 
 
 def _polynomial(x: Array, *coefficients: float) -> Array:
     """The polynomial with these coefficients, the highest first, at x (Horner)."""
-    result = coefficients[0] * np.ones_like(x)
-    for coefficient in coefficients[1:]:
+    result = coefficients[0] * x + coefficients[1]
+    for coefficient in coefficients[2:]:
         result = result * x + coefficient
     return result
 
 
 def exp(x: ArrayLike) -> Array:
     """e^x to the last bit or two, with x clamped to ±708; NaN of NaN."""
-    x = np.clip(np.asarray(x, np.float64), -708.0, 708.0)
+    x = np.minimum(np.maximum(np.asarray(x, np.float64), -708.0), 708.0)
     whole = np.rint(x * LOG2_E)
     r = (x - whole * LN2_HIGH) - whole * LN2_LOW
-    factorials = (479001600, 39916800, 3628800, 362880, 40320, 5040, 720, 120, 24, 6, 2, 1, 1)
-    return np.asarray(
-        np.ldexp(_polynomial(r, *(1 / n for n in factorials)), np.nan_to_num(whole).astype(np.int32))
-    )
+    exponent = np.where(whole == whole, whole, 0.0).astype(np.int32)  # of NaN 0
+    return np.asarray(np.ldexp(_polynomial(r, *TAYLOR), exponent))
 
 
 def log(x: ArrayLike) -> Array:

@@ -10,8 +10,7 @@ from typing import Any
 
 import msgspec
 
-from plume.scenario import SUCCESS_RADIUS_M, Scenario
-from plume.worlds import AS_MODELLED
+from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M, Scenario
 
 
 class TracePoint(msgspec.Struct, frozen=True):

@@ -14,8 +14,13 @@ STEP_M = 1.0  # length of one move, m
 BUDGET_STEPS = 300  # most moves of a mission; the paper states no budget
 # A stop counts as located if the estimate is this close to the source, m; the paper states none.
 SUCCESS_RADIUS_M = 1.0
+AS_MODELLED = "as-modelled"  # the world that matches what the estimator assumes
 # τ, s. Table 1 states none; the paper's illustration has 10 s.
 LIFETIME_S = 10.0
+
+
+class WorldError(ValueError):
+    """A world could not be asked, or said what no air can say; the text is one line."""
 
 
 class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -1,7 +1,7 @@
 """Plumeward: simulate a gas leak, search for it with a drone, and measure how far to trust the search.
 
-Imports: plume, link, link.bus, link.record, estimator, sitl, sitl.script, sitl.launch, agent, agent.trials,
-agent.learn.
+Imports: plume, plume.worlds, link, link.bus, link.record, estimator, sitl, sitl.script, sitl.launch, agent,
+agent.trials, agent.learn.
 
 `import plumeward` registers the gymnasium environments `plumeward/SourceSearch-v0` and
 `plumeward/SourceSearchContinuous-v0`. It does not load gymnasium, but waits until somebody does. The other
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from link.record.reader import read as read_record
     from plume.outcome import Outcome, TracePoint
     from plume.scenario import Scenario, draw
-    from plume.world import World
+    from plume.worlds.world import World
     from plumeward.evaluation import evaluate
 
 # The module of each name of the API, and its name there if it differs.
@@ -42,7 +42,7 @@ WHERE = {
     "policies": "agent.policies",
     "Scenario": "plume.scenario",
     "draw": "plume.scenario",
-    "World": "plume.world",
+    "World": "plume.worlds.world",
     "Config": "estimator.filter",
     "prior": "estimator.filter",
     "assimilate": "estimator.filter",

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from agent.policies import policies
 from estimator.assumptions import ASSUMPTIONS
 from plume.sensor import KINDS
-from plume.worlds import WORLDS
+from plume.worlds.names import worlds
 from sitl.script.script import load, shipped
 
 SENSORS = {
@@ -34,7 +34,7 @@ LISTS: dict[str, tuple[str, Callable[[], Mapping[str, str]]]] = {
     "policies": ("--policy NAME", policies),
     "sensors": ("--sensor KIND or KIND:NUMBERS", _sensors),
     "assumptions": ("--assume NAME", lambda: ASSUMPTIONS),
-    "worlds": ("--world NAME", lambda: {name: world.about for name, world in WORLDS.items()}),
+    "worlds": ("--world NAME or NAME:PARAMETERS, several with + between them", worlds),
 }
 
 

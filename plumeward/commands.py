@@ -22,6 +22,7 @@ PACKAGES = {
 GROUPS = {
     "Fly a mission": ("fly", "rollout", "list"),
     "Look at missions": ("view", "status", "log", "draw", "replay", "record"),
+    "Look at worlds": ("worlds",),
     "Compare and train policies": ("evaluate", "train", "report"),
     "Run one part alone": ("router", "uav", "payload", "bridge", "estimator", "agent"),
     "Keep strangers out": ("certs",),

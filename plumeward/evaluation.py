@@ -9,8 +9,8 @@ from agent.trials.evaluate import FIRST_TEST_SEED, named
 from agent.trials.rollout import check as check_knowledge
 from agent.trials.sweep import Sweep, fly, on_cores, ordered
 from estimator.criterion import USUAL_THRESHOLD_M, chosen
-from plume.scenario import BUDGET_STEPS
-from plume.worlds import AS_MODELLED, check
+from plume.scenario import AS_MODELLED, BUDGET_STEPS
+from plume.worlds.names import check
 
 
 def evaluate(
@@ -38,7 +38,7 @@ def evaluate(
         budget: Moves after which a mission is given up.
         workers: Processes that fly. A script that asks for more than one needs `if __name__ ==
             "__main__":`.
-        world: One name that `plumeward list worlds` shows, or several of them.
+        world: A world, as `plumeward.rollout` takes it, or several of them.
         assume: What the estimator takes to be known: `field` or `paper`, where all but the position is
             known.
         stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop

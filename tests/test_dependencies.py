@@ -25,8 +25,9 @@ PACKAGES = ("plume", "link", "estimator", "aircraft", "sitl", "scene", "agent", 
 DEVELOPMENT = ("tests", "benchmarks")
 EXTRAS = {
     "train": ("agent/learn/", "plumeward/environments.py"),
-    "view": ("scene/drawing.py", "scene/animation.py", "agent/trials/report/"),
+    "view": ("scene/drawing.py", "scene/footage.py", "scene/animation.py", "agent/trials/report/"),
     "ray": ("agent/trials/cluster.py",),
+    "plumes": ("plume/recorded/",),
 }
 """Extras of users, and the code that may import what they bring."""
 NOT_IMPORTED = {

@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import pytest
 from ruamel.yaml import YAML
 
+from plume.walls.buildings import read
 from sitl.script.script import load
 from tests.clients.installed import free_udp_port, python_of
 from tests.kernels import compile_kernels, copy_kernels
@@ -53,7 +54,7 @@ RELIED_ON = {
     "docs/records.md: plumeward log runs/NAME.mcap",
     "docs/records.md: plumeward draw runs/NAME.mcap",
     "docs/records.md: plumeward replay runs/NAME.mcap --verify --speedup 0",
-    "docs/physics.md: plumeward list worlds",
+    "docs/worlds.md: plumeward list worlds",
     "docs/security.md: plumeward certs certs --vehicles 1,2",
     "docs/services.md: plumeward router --listen tcp/127.0.0.1:7447",
     "docs/vehicles.md: plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11",
@@ -65,7 +66,7 @@ SHORT = {"README.md", "physics.md", "policies.md"}
 """Pages whose examples in Python `make test` runs."""
 
 INSTEAD = {
-    "make test": "make test FLAGS=tests/plume/test_world.py",
+    "make test": "make test FLAGS=tests/plume/test_geodesy.py",
     "make test-all": "make --dry-run test-all",
     "make lint": "make --dry-run lint",  # .ci/run runs it
     "make fuzz": "make --dry-run fuzz",  # tests/fuzz gives each decoder its first inputs
@@ -84,6 +85,7 @@ INSTEAD = {
     "python benchmarks/floor.py --fly": "python benchmarks/floor.py --missions 2 --threshold 0.9 --fly",
     "python benchmarks/floor.py --missions 200 --threshold 0.1 0.3 0.5 0.9 --convergence": "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
     "python -m benchmarks.trust --world wind-30 --policy homing": "python -m benchmarks.trust --world wind-30 --policy homing --assume paper --missions 1",
+    "python -m benchmarks.puffs": "python -m benchmarks.puffs --missions 2",
     "python benchmarks/loop.py --secure": "python benchmarks/loop.py --secure --missions 1",
     "python -m benchmarks.soak": "python -m benchmarks.soak --steps 1000 || test $? = 1",  # too short to tell whether anything grows
     "python -m benchmarks.fleet": "python -m benchmarks.fleet --vehicles 1 --seconds 5",
@@ -550,10 +552,13 @@ def test_the_page_says_with_which_python_its_example_for_mavsdk_4_runs() -> None
 
 
 @pytest.mark.parametrize("block", of("yaml"), ids=lambda block: f"{block.page.name}:{block.line}")
-def test_an_example_in_yaml_is_a_mission_that_can_be_flown(block: Block, tmp_path: Path) -> None:
+def test_an_example_in_yaml_is_a_mission_or_a_site_that_can_be_flown(block: Block, tmp_path: Path) -> None:
     script = tmp_path / "example.yaml"
     script.write_text(block.text)
-    load(script)
+    if "buildings:" in block.text:
+        assert read(str(script)).buildings
+    else:
+        load(script)
 
 
 @pytest.mark.parametrize("block", of("toml"), ids=lambda block: f"{block.page.name}:{block.line}")

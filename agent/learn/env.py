@@ -26,8 +26,8 @@ from estimator.assumptions import ASSUMPTIONS
 from estimator.criterion import FORMS, USUAL_THRESHOLD_M, Criterion, chosen
 from plume.elementary import Array
 from plume.randomness import MAX_SEED
-from plume.scenario import AREA_M, BUDGET_STEPS
-from plume.worlds import AS_MODELLED, WORLDS
+from plume.scenario import AREA_M, AS_MODELLED, BUDGET_STEPS
+from plume.worlds import names
 
 # Training draws seeds below it. Seeds from it to a million are for validation, above for testing.
 TRAINING_SEEDS = 900_000
@@ -62,15 +62,17 @@ class Settings:
     def __post_init__(self) -> None:
         if not isinstance(self.continuous, bool | np.bool_):
             raise ValueError(f"continuous {self.continuous!r} is not allowed; wanted True or False")
-        for name, names in (
+        for name, allowed in (
             ("observation", SCHEMAS),
             ("reward", REWARDS),
-            ("world", WORLDS),
             ("assume", ASSUMPTIONS),
         ):
             value = getattr(self, name)
-            if not isinstance(value, str) or value not in names:
-                raise ValueError(f"{name} {value!r} is not allowed; wanted {' or '.join(names)}")
+            if not isinstance(value, str) or value not in allowed:
+                raise ValueError(f"{name} {value!r} is not allowed; wanted {' or '.join(allowed)}")
+        if not isinstance(self.world, str):
+            raise ValueError(f"world {self.world!r} is not allowed; wanted its name")
+        names.check(self.world)
         for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
             _whole(name, getattr(self, name), least)
         threshold_m: Any = self.threshold_m
@@ -292,7 +294,7 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
     | `particles` | 500 | particles of the filter |
     | `threshold_m` | 0.5 | ζ, m |
     | `budget` | 300 | most steps |
-    | `world` | `"as-modelled"` | how the truth differs: a name of `plumeward list worlds` |
+    | `world` | `"as-modelled"` | how gas moves and the truth differs: a name, as `--world` takes it |
     | `assume` | `"paper"` | or `"field"`: what the estimator takes to be known |
     | `stop` | None | instead of `threshold_m`: `"within:1,0.99"` |
 

@@ -10,10 +10,10 @@ from estimator.batch import Batch
 from estimator.criterion import Criterion
 from estimator.filter import Config
 from plume.elementary import Array, Indices
+from plume.flight import TRY_AGAIN_S, profile
 from plume.randomness import Keyed, derived_seed
-from plume.scenario import SUCCESS_RADIUS_M, draw
-from plume.world import World, gas_of
-from plume.worlds import AS_MODELLED
+from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M, draw
+from plume.worlds.world import World, readings_of
 from scene.scene import Measurement, Scatter
 
 # Facts that are means if they are unknown.
@@ -41,6 +41,7 @@ class Missions:
         self.steps = np.zeros(count, np.int64)
         self.positions = np.empty((count, 2))
         self.distances_m = np.zeros(count)
+        self.times_s = np.zeros(count)  # of each mission's own clock
         self.spreads_m = np.empty(count)
         self.ceased = np.zeros(count, np.bool_)
         self.frames = np.empty((count, 3))  # of the observations, in which actions are given
@@ -51,6 +52,7 @@ class Missions:
         self._world = world
         # For judging and showing only.
         self.worlds = [World(draw(seed), seed, name=world) for seed in self.seeds.tolist()]
+        self._loses = any(world.errors.lost for world in self.worlds)
         self._batch = Batch([self._told(mission) for mission in range(count)], threads)
         self.estimates = self._batch.means[:, :2]  # (B, 2) m, which changes with the batch
         self._read(np.arange(count))
@@ -69,7 +71,13 @@ class Missions:
         waypoints: (B, 2) m, float32 values within the area.
         """
         self.steps += 1
-        self.distances_m += np.sqrt(np.square(waypoints - self.positions).sum(axis=1))
+        lengths_m = np.sqrt(np.square(waypoints - self.positions).sum(axis=1))
+        legs_s = profile(lengths_m).duration_s
+        if self._loses:
+            steps = self.steps.tolist()
+            legs_s += [TRY_AGAIN_S * self.worlds[i].loses(step) for i, step in enumerate(steps)]
+        self.times_s += legs_s
+        self.distances_m += lengths_m
         self.positions[:] = waypoints
         self._read(np.arange(len(self.steps)))
 
@@ -111,10 +119,11 @@ class Missions:
         """Set a mission to the start of its world; returns its estimator's configuration."""
         world, seed = self.worlds[mission], int(self.seeds[mission])
         scenario = world.scenario
-        self.steps[mission], self.distances_m[mission], self.ceased[mission] = 0, 0.0, False
+        self.steps[mission], self.times_s[mission], self.distances_m[mission] = 0, 0.0, 0.0
+        self.ceased[mission] = False
         self.positions[mission], self._sources[mission] = world.start, world.truth.source
         known = (scenario.q, scenario.d, scenario.tau)
-        self.facts[mission, observation.WIND_X : observation.LIFETIME + 1] = *world.wind, *known
+        self.facts[mission, observation.RATE : observation.LIFETIME + 1] = known
         criterion, its_seed = self._criterion, derived_seed(seed, "estimator")
         return Config(
             self._particles,
@@ -129,12 +138,15 @@ class Missions:
         """Take a reading in each of these missions; update beliefs, observations and stops."""
         facts = self.facts
         facts[missions, : observation.GAS] = self.positions[missions]
-        facts[missions, observation.GAS] = gas_of(
+        gas, winds = readings_of(
             [self.worlds[mission] for mission in missions.tolist()],
             self.positions[missions],
             self.steps[missions].tolist(),
+            self.times_s[missions],
             self._noise,
         )
+        facts[missions, observation.GAS] = gas
+        facts[missions, observation.WIND_X : observation.RATE] = winds
         readings = np.zeros((len(missions), 7))
         readings[:, :2] = self.positions[missions]
         readings[:, 3:5] = facts[missions, observation.WIND_X : observation.RATE]

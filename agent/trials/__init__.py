@@ -1,4 +1,4 @@
 """Judging policies, with the true source known: missions in-process, sweeps over many, their figures.
 
-Imports: plume, link, link.bus, estimator, agent, agent.planning.
+Imports: plume, plume.worlds, link, link.bus, estimator, agent, agent.planning.
 """

@@ -27,8 +27,8 @@ from link import cli
 from link.files import whole
 from link.terminal import Column, table, tell, width_of
 from plume.randomness import MAX_SEED
-from plume.scenario import BUDGET_STEPS
-from plume.worlds import AS_MODELLED, WORLDS, check
+from plume.scenario import AS_MODELLED, BUDGET_STEPS
+from plume.worlds.names import ABOUT, OURS, check, kinds, separate
 
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
@@ -71,16 +71,15 @@ def address(text: str) -> str:
 
 def add_world_argument(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add the flag that chooses the world, or with `several` the worlds."""
-    world = cli.checked(check, WORLDS)
+    world = cli.checked(check, OURS)
     argument = parser.add_argument(
         "--world",
-        type=cli.listed(world) if several else world,
+        type=cli.listed(world, separate) if several else world,
         default=[AS_MODELLED] if several else AS_MODELLED,
         metavar="NAME,NAME" if several else "NAME",
-        help="how the truth differs from what the estimator is told: a name of `plumeward list worlds` "
-        f"(default: {AS_MODELLED})",
+        help=f"{ABOUT} (default: {AS_MODELLED})",
     )
-    cli.completed(argument, lambda: WORLDS)
+    cli.completed(argument, kinds)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 
 from estimator.criterion import Criterion
 from plume.elementary import Array
+from plume.scenario import AS_MODELLED
 from plume.sensor import GAUSSIAN, text
-from plume.worlds import AS_MODELLED
 
 RESAMPLES = 1000
 LARGEST = 2_000_000  # values that the bootstrap draws at once, at most: a limit on memory

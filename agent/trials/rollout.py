@@ -12,11 +12,11 @@ from estimator.criterion import USUAL_THRESHOLD_M, chosen
 from estimator.filter import Config, Posterior, assimilate, prior
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
+from plume.flight import TRY_AGAIN_S, leg_s
 from plume.outcome import Outcome, TracePoint, outcome
 from plume.randomness import derived_seed
-from plume.scenario import BUDGET_STEPS, Scenario, draw
-from plume.world import World
-from plume.worlds import AS_MODELLED
+from plume.scenario import AS_MODELLED, BUDGET_STEPS, Scenario, draw
+from plume.worlds.world import World
 
 ALTITUDE_M = 5.0
 OWN_MOVES: Mapping[str, float] = MappingProxyType({})  # the planner's own moves
@@ -86,8 +86,12 @@ def _steps(
     world: World, config: Config, policy: str, agent_seed: int, budget: int, within: Reach, ends: bool
 ) -> Iterator[Step]:
     posterior, position, decision_s = prior(config), world.start, 0.0
+    time_s, place = 0.0, world.start
     for step in range(budget + 1):
-        reading = Reading(step, position, ALTITUDE_M, world.wind, world.gas(position, step))
+        time_s += float(leg_s(place, position)) + TRY_AGAIN_S * world.loses(step)
+        place = position
+        gas, wind = world.measure(position, step, time_s)
+        reading = Reading(step, position, ALTITUDE_M, wind, gas)
         began = time.process_time()
         posterior = assimilate(posterior, reading, config)
         summary, cloud = belief(posterior, reading, config)
@@ -121,8 +125,8 @@ def rollout(
         threshold_m: The search stops when the spread of the belief is below it, m.
         budget: Moves after which the mission is given up.
         moves: Of a planner: `headings`, `step` (m) and `measurements`, where its own are not wanted.
-        world: How the truth differs from what the estimator is told: a name that `plumeward list worlds`
-            shows.
+        world: How the gas moves, and how the truth differs from what the estimator is told: a name that
+            `plumeward list worlds` shows, or several: `"puffs:share=0.2+wind-30"`.
         assume: What the estimator takes to be known: `field` or `paper`, where all but the position is
             known.
         stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop

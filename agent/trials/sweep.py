@@ -29,9 +29,8 @@ from estimator.filter import Config
 from estimator.priors import text as prior_text
 from link.bus.messages import Belief
 from plume import __version__
-from plume.scenario import BUDGET_STEPS, STEP_M, SUCCESS_RADIUS_M
+from plume.scenario import AS_MODELLED, BUDGET_STEPS, STEP_M, SUCCESS_RADIUS_M
 from plume.sensor import GAUSSIAN, text
-from plume.worlds import AS_MODELLED
 
 PACKAGES = ("plume", "link", "scene", "estimator", "agent")
 

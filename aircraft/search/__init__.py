@@ -1,4 +1,4 @@
 """The search: the loop that is the same for every aircraft, who leads it, and what happens on board.
 
-Imports: plume, link, link.bus, link.signing, aircraft, aircraft.bridge.
+Imports: plume, plume.worlds, link, link.bus, link.signing, aircraft, aircraft.bridge.
 """

@@ -19,7 +19,7 @@ from link.bus.opening import DEFAULT_ROUTER
 from link.bus.session import Bus
 from link.bus.tally import Tally
 from link.signing.signer import Signing
-from plume.world import World
+from plume.worlds.world import World
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from aircraft.search.events import Delay, Dropout, Duplicate, Lose, Spike, Stuck
-from plume.world import float32
+from plume.elementary import float32
 
 
 class FaultySensor:

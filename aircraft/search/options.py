@@ -5,7 +5,7 @@ import math
 
 from aircraft.bridge.address import ALLOWED, parse_address
 from link import cli
-from plume.world import float32
+from plume.elementary import float32
 
 WANTED_WIND = (
     "SPEED,FROM: m/s from 0 to 100, and the direction that it comes from in degrees within ±360, "

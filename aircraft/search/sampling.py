@@ -14,8 +14,7 @@ from link.bus.keys import READING, RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.log import Log
 from link.bus.mavlink import Codec, Reading, pack_reading
 from link.bus.session import Bus
-
-TRY_AGAIN_S = 1.0  # simulation time after which a sensor without a value is read again
+from plume.flight import TRY_AGAIN_S
 
 
 class Sampling:

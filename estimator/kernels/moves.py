@@ -18,8 +18,8 @@ from estimator.kernels.densities import (
     log_prior,
     reading_densities,
 )
-from estimator.kernels.draws import key_of, uniform, word_at
 from plume.compiled import kernel, subroutine
+from plume.draws import key_of, uniform, word_at
 from plume.elementary import Array, Indices
 from plume.kernels import NOISES, derive, is_plain
 from plume.numerics import direction, dot, exp, log, log1p, total_of

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from estimator.kernels.checks import predictive_rank
 from estimator.kernels.densities import MODEL, Model, derived_of, reading_densities, tuple_type
-from estimator.kernels.draws import key_of, uniform
 from estimator.kernels.moves import move
 from estimator.kernels.weights import systematic, tempered_share
 from plume.compiled import kernel, subroutine
+from plume.draws import key_of, uniform
 from plume.elementary import Array, Indices
 from plume.kernels import derive
 

@@ -1,4 +1,4 @@
-"""Tools for operators: the recorder, the status of running parts, the summary and the drawing of a log.
+"""Tools for operators: the recorder, the status of running parts, logs and recorded plumes shown and drawn.
 
-Imports: plume, link, link.bus, link.record, scene, scene.follow, ground.tlog.
+Imports: plume, plume.recorded, link, link.bus, link.record, scene, scene.follow, ground.tlog.
 """

@@ -24,8 +24,7 @@ from link.record.reader import LogFile, RecordError, is_record
 from link.record.record import FRAME_KEYS, Entry
 from link.terminal import Column, printable, table, tell, width_of
 from plume.outcome import assumed_text, outcome, outcome_text
-from plume.scenario import Scenario
-from plume.worlds import AS_MODELLED
+from plume.scenario import AS_MODELLED, Scenario
 
 SHORTEST_KEY = 12  # characters of a key that a narrow terminal shows at least
 

@@ -18,7 +18,7 @@ from link.cli import BadInput
 from link.record.reader import RecordError, is_record, read
 from link.record.record import Entry
 from plume import sensor
-from plume.worlds import AS_MODELLED
+from plume.scenario import AS_MODELLED
 from sitl.script import script
 
 # The keys that a vehicle publishes on, by their names in a log.

@@ -1,4 +1,4 @@
 """Reads the log of any ArduPilot or PX4 vehicle (.tlog, .bin, .ulg) as the readings of a search.
 
-Imports: plume, link, link.bus, link.record.
+Imports: plume, plume.worlds, link, link.bus, link.record.
 """

@@ -17,8 +17,9 @@ from link.bus.keys import MAVLINK_OUT, READING
 from link.bus.mavlink import GAS_NAME, WRAP_MS, Codec, Reading, pack_reading
 from link.cli import BadInput
 from link.record.record import Entry
+from plume.elementary import float32
 from plume.scenario import AREA_M
-from plume.world import World, float32
+from plume.worlds.world import World
 
 MARGIN_M = 2.0  # between the path and the edge of a search area that is fitted to it
 STRONGEST_MPS = 100.0
@@ -222,7 +223,10 @@ def _readings(
         elif not all(0.0 <= value <= side_m for value in position):
             left_out["outside the area"] += 1
         else:
-            gas = plume.gas(position, len(readings)) if plume else sample.gas
+            gas = sample.gas
+            if plume:
+                at_s = (sample.time_ms - taken[0].sample.time_ms) / 1000.0
+                gas, wind = plume.measure(position, len(readings), at_s)
             readings.append((Reading(sample.time_ms - first_ms, position, float32(up), wind, gas), sample))
     return readings
 

@@ -16,7 +16,7 @@ from ground.tlog.onboard import NAME_LENGTH
 from ground.tlog.track import NorthEastUp, Reported
 from link.bus.mavlink import BadFrame, Message, unpack_reading
 from link.cli import BadInput
-from plume.world import float32
+from plume.elementary import float32
 
 Pair = tuple[float, float]
 # Maps the vehicle's time in ms to the wind, (x east, y north) m/s, pointing to where it comes from; None if

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from aircraft.state import AircraftConfig, Ned, metres
+from plume.flight import ACCEL_MPS2, SPEED_MPS
 from plume.geodesy import to_local
 from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, NorthEast, Rally
 from sitl.autopilot.motion import Limits
@@ -26,10 +27,10 @@ class VehicleConfig(AircraftConfig):
     home_lon_deg: float = 8.545594
     home_alt_m: float = 488.0  # above mean sea level
     home_heading_deg: float = 0.0
-    speed_mps: float = 5.0
+    speed_mps: float = SPEED_MPS
     climb_mps: float = 3.0
     descent_mps: float = 1.5
-    accel_mps2: float = 3.0
+    accel_mps2: float = ACCEL_MPS2
     yaw_rate_dps: float = 45.0
     return_altitude_m: float = 5.0  # a vehicle that returns climbs to this altitude above home if it is lower
     stream_s: float = math.inf  # silence of a companion that must stream until OFFBOARD fails safe

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from aircraft.state import ZERO, Ned
+from plume.flight import profile
 
 GRAVITY_MPS2 = 9.80665
 # A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its direction
@@ -86,13 +87,12 @@ class Trajectory(NamedTuple):
             return self._replace(target=target)
         direction = times(difference, 1.0 / length)
         accel = limits.accel_mps2
-        peak = min(_speed_limit(direction, limits), math.sqrt(accel * length))
-        ramp_s, ramp_m = peak / accel, peak * peak / accel / 2.0
-        cruise_m = max(length - 2.0 * ramp_m, 0.0)
+        leg = profile(length, _speed_limit(direction, limits), accel)
+        peak, ramp_s, ramp_m, cruise_s = map(float, leg)
 
         started_s = self.end_s
         fast_s = started_s + ramp_s
-        slowing_s = fast_s + cruise_m / peak
+        slowing_s = fast_s + cruise_s
         stopped_s = slowing_s + ramp_s
         speed_up, slow_down = times(direction, accel), times(direction, -accel)
         phases = (

@@ -20,7 +20,7 @@ from link.bus.session import Arrival, Bus, LivelinessChange
 from link.terminal import printable
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
-from plume.worlds import AS_MODELLED
+from plume.scenario import AS_MODELLED
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.heard import MissionHeard, await_services
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments

@@ -10,8 +10,7 @@ from typing import Any
 from aircraft.payload.options import SIMULATED
 from link.cli import BadInput
 from plume.randomness import derived_seed
-from plume.scenario import Scenario
-from plume.worlds import AS_MODELLED
+from plume.scenario import AS_MODELLED, Scenario
 from sitl.launch.watchdog import PATIENCE_S
 from sitl.script.script import AgentPart, Cut, EstimatorPart, Expectation, Kill, Lawnmower, Script, Waypoints
 

@@ -7,7 +7,8 @@ from link import cli
 from link.cli import BadInput
 from plume import sensor
 from plume.randomness import MAX_SEED
-from plume.worlds import AS_MODELLED, WORLDS, check
+from plume.scenario import AS_MODELLED
+from plume.worlds.names import ABOUT, OURS, check, kinds
 from sitl.script.script import Script, VehiclePart, find, load, shipped
 from sitl.script.typed_yaml import Document
 
@@ -77,13 +78,12 @@ def add_mission_arguments(parser: argparse.ArgumentParser) -> None:
     cli.completed(kind, lambda: sensor.KINDS)
     world = parser.add_argument(
         "--world",
-        type=cli.checked(check, WORLDS),
+        type=cli.checked(check, OURS),
         default=AS_MODELLED,
         metavar="NAME",
-        help="how the truth differs from what the estimator is told: a name of `plumeward list worlds` "
-        "(default: %(default)s)",
+        help=f"{ABOUT} (default: %(default)s)",
     )
-    cli.completed(world, lambda: WORLDS)
+    cli.completed(world, kinds)
 
 
 def script_of(args: argparse.Namespace) -> Script:

@@ -17,9 +17,9 @@ from link.cli import BadInput, did_you_mean
 from plume import sensor
 from plume.parameters import LIMITS, MOST
 from plume.randomness import MAX_SEED
-from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario, draw
-from plume.world import World
-from plume.worlds import AS_MODELLED, WORLDS, check
+from plume.scenario import AREA_M, AS_MODELLED, BUDGET_STEPS, STEP_M, Scenario, draw
+from plume.worlds.names import check
+from plume.worlds.world import World
 from sitl.autopilot.config import STREAM_S, VehicleConfig
 from sitl.script.typed_yaml import Document
 
@@ -233,8 +233,8 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     world: Annotated[
         str,
         Meta(
-            description="how the truth differs from what the estimator is told",
-            extra_json_schema={"enum": list(WORLDS)},
+            description="a world in the format of --world, a name of `plumeward list worlds`: how the gas "
+            "moves, and how the truth differs from what the estimator is told"
         ),
     ] = AS_MODELLED
     estimator: EstimatorPart = EstimatorPart()

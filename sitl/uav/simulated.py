@@ -16,13 +16,15 @@ from aircraft.search.command import Orders
 from aircraft.search.search import Search
 from aircraft.search.uav import Equipment, Handling, Uav
 from aircraft.search.udp import UdpPorts
-from aircraft.state import Arrived, Result, denied, not_now
+from aircraft.state import Arrived, Result, VehicleFailed, denied, not_now
 from link.bus.keys import MAVLINK_OUT
 from link.bus.mavlink import Codec, Message, unpack
 from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival
 from link.modes import Mode
-from plume.world import World
+from plume.flight import TRY_AGAIN_S, leg_s
+from plume.scenario import WorldError
+from plume.worlds.world import World
 from sitl.autopilot.config import STREAM_S
 from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol
 from sitl.autopilot.setpoint import GLOBAL, LOCAL
@@ -75,9 +77,7 @@ class SimulatedClients:
         # The vehicle's time, not the streams' time: at speed-up 0 they differ.
         vehicle, sensor = self._vehicle, self._sensor
         return Telemetry(
-            lambda _: Snapshot(
-                vehicle.config, vehicle.state(vehicle.now_s), sensor.simulated.world.wind, self._gas
-            )
+            lambda _: Snapshot(vehicle.config, vehicle.state(vehicle.now_s), sensor.wind, self._gas)
         )
 
     # ---- what they are told ----
@@ -165,26 +165,45 @@ class SimulatedClients:
 
 
 class SimulatedSensor(GasSensor):
-    """A gas sensor in a simulated world."""
+    """A gas sensor in a simulated world.
 
-    def __init__(self, world: World) -> None:
-        self.simulated = Simulated(world)
+    The world's time is that of the path between readings, not of the vehicle's clock, which goes on while
+    the vehicle waits for its agent: a mission then is the same on a slow machine.
+    """
+
+    def __init__(self, world: World, vehicle: Vehicle) -> None:
+        self.simulated, self._vehicle = Simulated(world), vehicle
+        self.wind = world.wind  # as last measured
+        self._number, self._place = -1, world.start
+        self._time_s, self._since_s = 0.0, 0.0  # of the reading before, and since then
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured:
         """Take reading `number`."""
-        north, east, _ = arrived.position
-        sample = self.simulated(Question(0, time_boot_ms, number, (east, north), None))
+        (north, east, _), config = arrived.position, self._vehicle.config
+        if number != self._number:
+            self._time_s, self._number = self._time_s + self._since_s, number
+            self._since_s = float(leg_s(self._place, (east, north), config.speed_mps, config.accel_mps2))
+        else:
+            self._since_s += TRY_AGAIN_S
+        self._place = east, north
+        question = Question(0, time_boot_ms, number, self._place, None)
+        try:
+            sample = self.simulated(question, self._time_s + self._since_s)
+        except WorldError as error:
+            raise VehicleFailed(str(error)) from error
+        self.wind = sample.wind or self.wind
         return Measured(arrived, sample.gas, sample.wind)
 
     def blow(self, u: float | None, phi: float | None) -> None:
         """Turn the wind, and the plume with it."""
-        self.simulated.world = turned(self.simulated.world, u, phi)
+        self.simulated.world = world = turned(self.simulated.world, u, phi)
+        self.wind = world.wind
 
 
 def simulated_uav(vehicle: Vehicle, orders: Orders, equipment: Equipment) -> Uav:
     """Return the uav service of a simulated vehicle. Raises ValueError for a URL of `outs`."""
     search = Search(vehicle, orders.world.start, orders.after_stop, equipment.say)
-    sensor = SimulatedSensor(orders.world)
+    sensor = SimulatedSensor(orders.world, vehicle)
     clients = SimulatedClients(vehicle, search, sensor, equipment)
     return Uav(search, clients, sensor, equipment, orders.events)
 

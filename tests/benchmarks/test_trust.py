@@ -26,7 +26,7 @@ from benchmarks.trust import (
     worlds,
     write_figures,
 )
-from plume.worlds import WORLDS
+from plume.worlds.errors import WRONG
 
 ROOT = Path(__file__).parents[2]
 CRITERIA = ("spread:0.5", "within:1,0.95", "within:1,0.99")
@@ -89,7 +89,7 @@ def said(rows: dict) -> dict:
 
 def test_the_worlds_of_a_promise_are_those_whose_truth_lies_in_the_assumption() -> None:
     assert set(HOLDS["paper"]) == {"as-modelled", "readings-lost", "source-outside"}
-    assert set(WORLDS) - set(HOLDS["field"]) == {"cv-1-correlated", "stuck", "stuck-noisy"}
+    assert set(WRONG) - set(HOLDS["field"]) == {"cv-1-correlated", "stuck", "stuck-noisy"}
     assert tuple(stop.text for stop in STOPS) == CRITERIA
 
 

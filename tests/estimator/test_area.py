@@ -14,7 +14,7 @@ from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
 from plume.scenario import Scenario
-from plume.world import World
+from plume.worlds.world import World
 
 SIDE_M = 80.0
 

@@ -9,7 +9,7 @@ from estimator.priors import Gamma, Normal
 from link.bus.mavlink import Reading
 from plume.scenario import draw
 from plume.sensor import Hits
-from plume.world import World
+from plume.worlds.world import World
 
 MISSIONS, STEPS = 21, 70
 

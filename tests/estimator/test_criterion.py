@@ -16,7 +16,7 @@ from link.bus.mavlink import Reading
 from plume.randomness import keyed
 from plume.scenario import Scenario
 from plume.sensor import GAUSSIAN
-from plume.world import World
+from plume.worlds.world import World
 
 GUSTS = {"threshold_m": 3.0, "priors": {"cv": Fixed(0.5)}}
 READING = Reading(77, (1.0, 2.0), 5.0, (1.0, 0.0), 0.5)

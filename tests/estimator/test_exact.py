@@ -12,7 +12,7 @@ from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
 from plume.scenario import Scenario, draw
-from plume.world import World
+from plume.worlds.world import World
 from tests.estimator.exact import GridPosterior, log_likelihood
 
 pytestmark = pytest.mark.slow

@@ -15,7 +15,7 @@ from estimator.kernels.weights import effective_sample_size, moments
 from link.bus.mavlink import Reading
 from plume.randomness import keyed
 from plume.scenario import AREA_M, Scenario, draw
-from plume.world import World
+from plume.worlds.world import World
 from tests.estimator.exact import GridPosterior
 
 

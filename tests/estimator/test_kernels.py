@@ -12,11 +12,11 @@ from estimator.belief import FEWEST, RECENT
 from estimator.filter import Config
 from estimator.kernels.checks import uniformity_p_value
 from estimator.kernels.densities import greatest_log_density, is_a_normal_density, log_likelihoods
-from estimator.kernels.draws import key_of, uniform
 from estimator.kernels.weights import effective_sample_size, moments, systematic
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from plume import numerics
 from plume.dispersion import concentration
+from plume.draws import key_of, uniform
 from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, sensor_row, text
 
 CONFIG = Config(rate=270.0, diffusivity=4.2)

@@ -10,10 +10,10 @@ from numba import njit
 
 from estimator.filter import Config
 from estimator.kernels.densities import log_likelihoods, log_priors
-from estimator.kernels.draws import key_of, uniform
 from estimator.kernels.moves import move
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from plume.dispersion import concentration
+from plume.draws import key_of, uniform
 from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, text
 
 Array = np.ndarray

@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy import integrate
 
 from agent.trials.rollout import mission
 from estimator.assumptions import SPIKES
@@ -18,7 +17,7 @@ from link.bus.mavlink import Reading
 from plume.dispersion import concentration
 from plume.scenario import draw
 from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, sensor_row, text
-from plume.worlds import WORLDS, Errors, Named
+from plume.worlds.errors import WRONG, Errors, Wrong
 from tests.estimator.test_kernels import draws, readable
 
 Array = np.ndarray
@@ -98,6 +97,8 @@ def spike_density(gas: float, sensor: Sensor) -> float:
 
 
 def test_the_density_of_spikes_is_one_in_all() -> None:
+    from scipy import integrate
+
     sides = [(-np.inf, -1.0), (1.0, np.inf)]  # within ±1 g/m³ there are readings of clean air
     total = sum(integrate.quad(spike_density, *ends, args=(GAUSSIAN,), limit=200)[0] for ends in sides)
     assert total == pytest.approx(exceeds(1.0, 1.4), rel=1e-5)
@@ -147,7 +148,7 @@ SIZES = (0.5, 2.0, 8.0, 50.0, 1000.0, -8.0)
 def test_a_mission_with_a_false_reading_ceases_at_the_source(
     size: float, step: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(WORLDS, "spiked", Named("", lambda _: Errors(spikes=((step, size),))))
+    monkeypatch.setitem(WRONG, "spiked", Wrong("", lambda _: Errors(spikes=((step, size),))))
     flown = mission(1_000_003, "homing", 1000, 0.5, 100, world="spiked", assume="field")
     *_, last = flown.steps
     assert last.belief.ceased
@@ -156,7 +157,7 @@ def test_a_mission_with_a_false_reading_ceases_at_the_source(
 
 @pytest.mark.parametrize("sensor", [Threshold(), Hits()], ids=text)
 def test_other_sensors_may_spike_too(sensor: Sensor, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(WORLDS, "spiked", Named("", lambda _: Errors(spikes=((6, 8.0), (9, 30.0)))))
+    monkeypatch.setitem(WRONG, "spiked", Wrong("", lambda _: Errors(spikes=((6, 8.0), (9, 30.0)))))
     flown = mission(1_000_003, "homing", 1000, 0.5, 120, world="spiked", assume="field", sensor=sensor)
     *_, last = flown.steps
     assert last.belief.ceased

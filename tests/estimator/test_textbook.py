@@ -13,7 +13,7 @@ from link.bus.mavlink import Reading
 from plume.dispersion import concentration
 from plume.scenario import AREA_M, Scenario, draw
 from plume.sensor import GAUSSIAN
-from plume.world import World
+from plume.worlds.world import World
 
 Array = np.ndarray
 SEED, COUNT = 5, 400

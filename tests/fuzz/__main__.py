@@ -26,7 +26,7 @@ LONGEST_S, HUNG_S = 20, 300
 while.
 """
 MOST_MIB, LONGEST_INPUT = 2048, 4_096
-FOLLOWED = ("link", "scene", "sitl", "estimator", "agent", "mcap", "ruamel")
+FOLLOWED = ("plume", "link", "scene", "sitl", "estimator", "agent", "mcap", "ruamel")
 """Packages whose branches guide the search, except modules with kernels: those are compiled from their
 bytecode.
 """

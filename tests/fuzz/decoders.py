@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from tests.fuzz import files, services, watchers
+from tests.fuzz import files, plumes, services, watchers
 
 
 class Decoder(NamedTuple):
@@ -36,5 +36,14 @@ DECODERS = {
     "bundle-page": Decoder(files.page_of_bundle_seeds, files.page_of_bundle),
     "bundle-graph": Decoder(files.graph_seeds, files.graph),
     "rows": Decoder(files.rows_seeds, files.rows),
+    "gaden": Decoder(plumes.iteration_seeds, plumes.iteration),
+    "gaden-packed": Decoder(plumes.packed_iteration_seeds, plumes.packed_iteration),
+    "gaden-walls": Decoder(plumes.walls_seeds, plumes.walls),
+    "gaden-wind": Decoder(plumes.wind_seeds, plumes.gaden_wind),
+    "npy": Decoder(plumes.npy_seeds, plumes.npy_movie),
+    "zarr-array": Decoder(plumes.zarr_array_seeds, plumes.zarr_array),
+    "zarr-said": Decoder(plumes.zarr_attributes_seeds, plumes.zarr_attributes),
+    "zarr-chunk": Decoder(plumes.zarr_chunk_seeds, plumes.zarr_chunk),
+    "sidecar": Decoder(plumes.sidecar_seeds, plumes.sidecar),
 }
 """By name."""

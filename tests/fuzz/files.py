@@ -43,7 +43,8 @@ LONGEST = 2000
 """Characters of a refusal."""
 
 
-def _file(name: str, data: bytes) -> Path:
+def written(name: str, data: bytes) -> Path:
+    """A file with these bytes."""
     path = FOLDER / name
     path.write_bytes(data)
     return path
@@ -141,7 +142,7 @@ def record_seeds() -> list[bytes]:
 
 def record(data: bytes) -> None:
     """A record is read up to its damage or refused, and what was read can be followed and shown."""
-    path = _file("fuzzed.mcap", data)
+    path = written("fuzzed.mcap", data)
     try:
         recording = read_record(path)
     except RecordError as error:
@@ -184,7 +185,7 @@ def tlog_seeds() -> list[bytes]:
 def tlog(data: bytes) -> None:
     """A log is read as a flight or refused."""
     try:
-        flight = read_flight(_file("fuzzed.tlog", as_sent(data, STAMP)))
+        flight = read_flight(written("fuzzed.tlog", as_sent(data, STAMP)))
     except BadInput as error:
         _is_one_line(error)
     else:
@@ -205,7 +206,7 @@ def ulog_seeds() -> list[bytes]:
 def onboard(data: bytes) -> None:
     """An on-board log is read as a flight or refused."""
     try:
-        flight = read_flight(_file("fuzzed.bin", data))
+        flight = read_flight(written("fuzzed.bin", data))
     except BadInput as error:
         _is_one_line(error)
     else:
@@ -233,7 +234,7 @@ def script_seeds() -> list[bytes]:
 
 def script(data: bytes) -> None:
     """A script is read or refused in one line that names the file."""
-    path = _file("fuzzed.yaml", data)
+    path = written("fuzzed.yaml", data)
     try:
         load(path)
     except BadInput as error:
@@ -311,7 +312,7 @@ def _zipped(page: bytes, graph: bytes, method: int = zipfile.ZIP_STORED) -> byte
 
 def _loads(data: bytes) -> None:
     try:
-        loaded = bundle.load(_file("fuzzed.zip", data))
+        loaded = bundle.load(written("fuzzed.zip", data))
     except bundle.BundleError as error:
         _is_one_line(error)
     else:
@@ -359,7 +360,7 @@ def rows_seeds() -> list[bytes]:
 
 def rows(data: bytes) -> None:
     """Rows of missions are read or refused."""
-    path = _file("fuzzed.csv.gz" if data[:1] == b"\1" else "fuzzed.csv", data[1:])
+    path = written("fuzzed.csv.gz" if data[:1] == b"\1" else "fuzzed.csv", data[1:])
     try:
         assert all(isinstance(row, MissionRow) for row in read_csv(path))
     except ValueError as error:

@@ -36,7 +36,7 @@ from link.modes import Mode
 from link.record.reader import read
 from plume.scenario import AREA_M, draw
 from plume.sensor import GAUSSIAN
-from plume.world import World
+from plume.worlds.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.vehicle import Vehicle
 from sitl.uav.simulated import simulated_uav

@@ -13,7 +13,7 @@ from plume import intermittency
 from plume.randomness import Abreast, Keyed, keyed
 from plume.scenario import draw
 from plume.sensor import Gaussian, Threshold
-from plume.world import World, gas_of
+from plume.worlds.world import World, readings_of
 
 CVS = (0.02, 0.04, 0.075, 0.13, 0.33, 0.71, 1.0, 1.1, 1.6, 2.1, 2.625, 2.975, 3.0)
 """From nearly steady to the strongest; several lie between the rows of the kernel's table."""
@@ -199,7 +199,7 @@ def test_gamma_variables_side_by_side_are_those_drawn_alone() -> None:
 def test_worlds_in_intermittent_gas_read_the_same_together_as_alone() -> None:
     worlds = [World(draw(seed), seed, Gaussian(cv=1.5)) for seed in (3, 4, 5)]
     places = np.array([[12.0, 15.0], [14.0, 13.0], [20.0, 20.0]])
-    together = gas_of(worlds, places, [7, 8, 9], Keyed())
+    together = readings_of(worlds, places, [7, 8, 9], np.zeros(3), Keyed())[0]
     alone = [
         world.gas((x, y), step)
         for world, (x, y), step in zip(worlds, places.tolist(), (7, 8, 9), strict=True)

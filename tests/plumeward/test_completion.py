@@ -58,6 +58,8 @@ def completed(line: str, cwd: Path) -> set[str]:
         ("plumeward agent --policy dd", {"ddpg"}),
         ("plumeward estimator --part", {"--particles"}),
         ("plumeward list p", {"policies"}),
+        ("plumeward wo", {"worlds"}),
+        ("plumeward worlds s", {"show"}),
         ("plumeward train d", {"dqn", "ddpg"}),
         ("plumeward report --out", {"--out"}),
     ],

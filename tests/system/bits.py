@@ -34,10 +34,10 @@ from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Reading, unpack_reading, w
 from link.bus.messages import pack_particles
 from link.record.reader import read
 from plume.randomness import Keyed, keyed
-from plume.scenario import draw
+from plume.scenario import AS_MODELLED, draw
 from plume.sensor import parse
-from plume.world import World, gas_of
-from plume.worlds import WORLDS
+from plume.worlds.errors import WRONG
+from plume.worlds.world import World, readings_of
 from tests.golden.__main__ import GOLDEN, SENSORS, compare, path
 
 
@@ -219,7 +219,7 @@ def side_by_side(assume: str) -> str:
     )
     batch, noise, computed = Batch(configs, 2), Keyed(), []
     for k in range(steps):
-        gas = gas_of(worlds, ways[:, k], [k] * len(seeds), noise).tolist()
+        gas = readings_of(worlds, ways[:, k], [k] * len(seeds), np.zeros(len(seeds)), noise)[0].tolist()
         readings = [
             Reading(k, tuple(ways[i, k].tolist()), 5.0, worlds[i].wind, gas[i]) for i in range(len(seeds))
         ]
@@ -259,6 +259,10 @@ def scenarios() -> str:
     return digest_of((scenario := draw(seed), scenario.wind) for seed in range(200))
 
 
+MOVING = "puffs:meander=10,gusts=0.1"  # a world in which gas and wind move
+WALLED = "walls:file=courtyard"
+
+
 def readings(world: str) -> str:
     """What each sensor reads in a world, by seed and along a path."""
 
@@ -268,7 +272,7 @@ def readings(world: str) -> str:
                 there = World(draw(seed), seed, parse(kind), world)
                 yield there.errors._asdict(), there.truth, there.wind, there.start
                 for step, place in enumerate(np.linspace(there.start, there.truth.source, 40).tolist()):
-                    yield there.gas(tuple(place), step), there.loses(step)
+                    yield there.measure(tuple(place), step), there.loses(step)
 
     return digest_of(taken())
 
@@ -300,7 +304,9 @@ def checks() -> dict[str, Callable[[], str]]:
     """All checks by name, in the order in which a difference should be looked for."""
     found: dict[str, Callable[[], str]] = {"scenarios": scenarios}
     found |= {f"prior/{kind}": partial(drawn, kind) for kind in PRIORS}
-    found |= {f"readings/{world}": partial(readings, world) for world in WORLDS}
+    found |= {
+        f"readings/{world}": partial(readings, world) for world in (AS_MODELLED, *WRONG, MOVING, WALLED)
+    }
     found |= {f"golden/{name}": partial(golden, name) for name in GOLDEN}
     found |= {
         f"flight/{policy}-paper": partial(flight, policy, "gaussian", "paper", "as-modelled", 60)
@@ -318,6 +324,7 @@ def checks() -> dict[str, Callable[[], str]]:
         found[f"flight/{policy}-gusts"] = partial(
             flight, policy, "gaussian:0.3,0.2,1.0", "paper", "cv-1-correlated", 25
         )
+        found[f"flight/{policy}-moving"] = partial(flight, policy, "gaussian", "field", MOVING, 25)
     found["flight/unusual"] = unusual
     found |= {
         f"recovery/{assume}-{kind}": partial(recovery, assume, kind)

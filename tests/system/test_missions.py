@@ -20,7 +20,7 @@ from link.record.reader import Recording, read
 from plume.randomness import keyed
 from plume.scenario import draw
 from plume.sensor import GAUSSIAN
-from plume.world import World
+from plume.worlds.world import World
 from tests.system.conftest import Part
 from tests.system.live import run_sitl
 

@@ -12,7 +12,7 @@ import pytest
 from link.bus.mavlink import unpack_reading
 from link.record.reader import read
 from plume.scenario import draw
-from plume.world import World
+from plume.worlds.world import World
 from tests.clients.installed import free_udp_port
 from tests.system.conftest import Part
 from tests.system.live import run_sitl

@@ -11,7 +11,7 @@ import numpy as np
 from agent.policies import OURS
 from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow, figures
-from plume.worlds import AS_MODELLED
+from plume.scenario import AS_MODELLED
 
 AS_GOOD = 0.01  # policies whose ceased shares differ by at most this much are compared by their MTD
 

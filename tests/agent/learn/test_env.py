@@ -25,8 +25,8 @@ from agent.learn.env import TRAINING_SEEDS, SourceSearch, SourceSearchVector
 from agent.observation import BOUND, SCHEMAS
 from link.bus.messages import Belief, Particles
 from plume.scenario import AREA_M, draw
-from plume.world import World
-from plume.worlds import WORLDS
+from plume.worlds.names import OURS
+from plume.worlds.world import World
 
 DISCRETE, CONTINUOUS = IDS = ("plumeward/SourceSearch-v0", "plumeward/SourceSearchContinuous-v0")
 DOCUMENT = Path(__file__).parents[3] / "docs" / "environment.md"
@@ -240,11 +240,14 @@ def test_many_at_once_are_what_gymnasium_makes_of_single_ones(
     assert min(ended.values()) > 2
 
 
+MOVING = "puffs:meander=20,gusts=0.2+readings-lost"
+
+
 @pytest.mark.parametrize(
     ("name", "world", "assume"),
     [
         *((name, "as-modelled", assume) for name in IDS for assume in ("paper", "field")),
-        *((DISCRETE, world, "paper") for world in ("wind-30", "cv-1-correlated", "all-at-once")),
+        *((DISCRETE, world, "paper") for world in ("wind-30", "cv-1-correlated", "all-at-once", MOVING)),
     ],
 )
 def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(
@@ -284,7 +287,7 @@ def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(
             seen, _, over, _, told = env.step(second if k % 3 == 2 else first)
 
 
-@pytest.mark.parametrize("world", ["all-at-once", "source-outside", "stuck-noisy"])
+@pytest.mark.parametrize("world", ["all-at-once", "source-outside", "stuck-noisy", MOVING])
 def test_many_missions_in_a_world_are_the_single_ones_there_and_so_are_those_that_follow(world: str) -> None:
     many = SourceSearchVector(4, world=world, **QUICK)
     many.reset(seed=40)
@@ -384,7 +387,7 @@ def test_gymnasiums_wrappers_of_many_count_missions_right() -> None:
     [
         ({"observation": "pixels"}, "observation 'pixels' is not allowed; wanted paper or polar"),
         ({"reward": "more"}, "reward 'more' is not allowed; wanted paper or cost"),
-        ({"world": "windy"}, f"world 'windy' is not allowed; wanted {' or '.join(WORLDS)}"),
+        ({"world": "windy"}, f"no world 'windy'; wanted {', '.join(OURS)}"),
         ({"headings": 1}, "headings 1 is not allowed; wanted a whole number from 2"),
         ({"headings": 7.5}, "headings 7.5 is not allowed; wanted a whole number from 2"),
         ({"particles": 9}, "particles 9 is not allowed; wanted a whole number from 10"),

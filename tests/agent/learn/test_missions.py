@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import plume.world
+import plume.worlds.air
 from agent.learn.missions import Missions
 from agent.observation import DIFFUSIVITY, FACTS, GAS, LIFETIME, RATE, SCHEMAS, X
 from agent.planning.moves import Headings
@@ -20,7 +20,7 @@ from link.bus.mavlink import Reading
 from plume.randomness import derived_seed, keyed
 from plume.scenario import AREA_M, SUCCESS_RADIUS_M, draw
 from plume.sensor import Gaussian
-from plume.world import World
+from plume.worlds.world import World
 
 PARTICLES, THRESHOLD_M = 200, 0.7
 SEEDS, OTHERS = (0, 1, 2, 3, 11, 15, 1_000_003, 899_999, 149), (40, 41)
@@ -215,7 +215,7 @@ def doubled(told_of: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    ("owner", "name"), [(plume.world, "concentration"), (Gaussian, "measure"), (Gaussian, "noise_std")]
+    ("owner", "name"), [(plume.worlds.air, "concentration"), (Gaussian, "measure"), (Gaussian, "noise_std")]
 )
 def test_who_changes_the_worlds_physics_changes_it_for_rollouts_and_training_alike(
     monkeypatch: pytest.MonkeyPatch, owner: object, name: str

@@ -16,7 +16,7 @@ import plumeward  # noqa: F401  registers the environments
 from agent.learn.env import SourceSearch, SourceSearchVector
 from agent.learn.render import Onlooker
 from plume.scenario import draw
-from plume.world import World
+from plume.worlds.world import World
 
 pytestmark = pytest.mark.slow
 

@@ -14,10 +14,10 @@ from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
 from plume.outcome import outcome_text
 from plume.parameters import LIMITS
-from plume.scenario import Scenario, draw
+from plume.scenario import AS_MODELLED, Scenario, draw
 from plume.sensor import KINDS, parse
-from plume.world import World
-from plume.worlds import WORLDS
+from plume.worlds.errors import WRONG
+from plume.worlds.world import World
 
 
 def test_a_rollout_is_a_function_of_its_seed() -> None:
@@ -28,7 +28,7 @@ def test_a_rollout_is_a_function_of_its_seed() -> None:
     assert rollout(4, "infotaxis", particles=300)[1] != trace
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", [AS_MODELLED, *WRONG])
 def test_in_every_world_the_estimator_is_told_the_same_and_the_mission_is_judged_by_the_truth(
     world: str,
 ) -> None:

@@ -25,7 +25,7 @@ from estimator.priors import Gamma, Uniform
 from plume import __version__
 from plume.scenario import draw
 from plume.sensor import Hits
-from plume.world import World
+from plume.worlds.world import World
 
 pytestmark = pytest.mark.slow
 

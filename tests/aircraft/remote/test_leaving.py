@@ -21,7 +21,7 @@ from link.bus.mavlink import Message
 from link.interrupts import on_end
 from plume.scenario import draw
 from plume.sensor import Gaussian
-from plume.world import World
+from plume.worlds.world import World
 from tests.aircraft.remote.cockpit import STEPS, Cockpit
 from tests.autopilots.body import DT_S
 from tests.fuzz.services import QuietBus

@@ -12,9 +12,10 @@ from aircraft.search.search import LANDED
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
+from plume.elementary import float32
 from plume.randomness import derived_seed
 from plume.scenario import draw
-from plume.world import World, float32
+from plume.worlds.world import World
 from tests.aircraft.remote.cockpit import Cockpit
 
 SEED, BUDGET, PARTICLES = 1_000_011, 4, 100

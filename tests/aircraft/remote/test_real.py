@@ -23,7 +23,7 @@ from link.bus.session import Arrival, LivelinessChange
 from link.interrupts import on_end
 from plume.scenario import draw
 from plume.sensor import Gaussian
-from plume.world import World
+from plume.worlds.world import World
 from tests.aircraft.remote.cockpit import Cockpit
 from tests.aircraft.remote.test_leaving import InStep
 from tests.fuzz.services import QuietBus

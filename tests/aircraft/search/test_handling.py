@@ -21,7 +21,7 @@ from link.bus.session import Arrival
 from link.modes import Mode
 from plume.scenario import draw
 from plume.sensor import Gaussian
-from plume.world import World
+from plume.worlds.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.vehicle import Vehicle
 from sitl.uav.simulated import simulated_uav

@@ -12,7 +12,7 @@ from link.bus.keys import PAYLOAD_IN, Key
 from link.bus.session import LivelinessChange
 from plume.scenario import draw
 from plume.sensor import Gaussian
-from plume.world import World
+from plume.worlds.world import World
 from tests.aircraft.remote.cockpit import Cockpit
 from tests.aircraft.remote.test_leaving import InStep
 from tests.aircraft.remote.test_real import Others, Told, of_a_command

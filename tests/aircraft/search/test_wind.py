@@ -9,7 +9,7 @@ from link.bus.keys import READING
 from link.bus.mavlink import unpack_reading
 from plume.scenario import draw
 from plume.sensor import Gaussian
-from plume.world import World
+from plume.worlds.world import World
 from tests.aircraft.remote.cockpit import Cockpit
 from tests.aircraft.remote.test_real import MEASURED, Others, fly, of_a_command
 from tests.autopilots.faults import Fault

@@ -24,7 +24,7 @@ from plume.dispersion import concentration
 from plume.geodesy import to_global
 from plume.scenario import Scenario
 from plume.sensor import GAUSSIAN
-from plume.world import World
+from plume.worlds.world import World
 from tests.ground.tlog.logs import (
     BEGAN_US,
     DISARMED,

@@ -86,8 +86,11 @@ MISTAKES = {
         "threshold:0.5",
         "treshold:0.5",
     ): "4: sensor: 'treshold:0.5,0.3' is not allowed; wanted gaussian, threshold, hits",
-    ("seed: 7", "world: wind-3"): "2: world: no world 'wind-3'; wanted as-modelled, wind-10, wind-30, ",
-    ("seed: 7", "world: 30"): "2: world: 30 is not allowed; wanted one of as-modelled, wind-10, wind-30, ",
+    (
+        "seed: 7",
+        "world: wind-3",
+    ): "2: world: no world 'wind-3'; wanted as-modelled, puffs, walls, recorded, wind-10, wind-30, ",
+    ("seed: 7", "world: 30"): "2: world: 30 is not allowed; wanted a world in the format of --world, ",
     (
         "particles: 500",
         "particles: 5",

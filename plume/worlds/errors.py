@@ -1,11 +1,8 @@
-"""Worlds by name: how the truth of a mission differs from what the estimator assumes.
-
-All commands share this one table.
-"""
+"""Wrong assumptions by name: how the truth of a mission differs from what the estimator assumes."""
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +10,6 @@ from plume.elementary import exp, log
 from plume.randomness import keyed, uniform
 from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
 
-AS_MODELLED = "as-modelled"  # the world that matches what the estimator assumes
 SPIKED_READINGS = 30  # spikes are among so many first readings: most searches take as many
 SPIKES = 0.5, 100.0  # their least and greatest size, g/m³ or hits
 
@@ -46,8 +42,18 @@ class Errors(NamedTuple):
     spikes: tuple[tuple[int, float], ...] = ()
 
 
-class Named(NamedTuple):
-    """A world to choose."""
+FACTORS = frozenset({"speed", "q", "d", "tau", "gain", "noise"})  # errors that multiply
+# What other errors say, in words.
+SAID = {
+    "cv": "intermittency",
+    "correlation": "intermittency",
+    "stuck_from": "stuck sensor",
+    "spikes": "false readings",
+}
+
+
+class Wrong(NamedTuple):
+    """A wrong assumption to choose."""
 
     about: str  # one line about it
     errors: Callable[[int], Errors]  # the errors of the mission of a seed
@@ -89,71 +95,81 @@ def spikes(seed: int, count: int) -> Errors:
     return Errors(spikes=tuple(zip(numbers, sizes, strict=True)))
 
 
-# The worlds, by the names that --world takes.
-WORLDS: dict[str, Named] = {
-    AS_MODELLED: Named("as the estimator is told", lambda _: Errors()),
-    "wind-10": Named(
+# The wrong assumptions, by name.
+WRONG: dict[str, Wrong] = {
+    "wind-10": Wrong(
         "true wind direction 10° off the measured one, left or right",
         lambda seed: Errors(direction_deg=10.0 * side(seed)),
     ),
-    "wind-30": Named(
+    "wind-30": Wrong(
         "true wind direction 30° off the measured one, left or right",
         lambda seed: Errors(direction_deg=30.0 * side(seed)),
     ),
-    "speed-low": Named("true wind speed 0.7 times the measured one", lambda _: Errors(speed=0.7)),
-    "speed-high": Named("true wind speed 1.4 times the measured one", lambda _: Errors(speed=1.4)),
-    "noise-doubled": Named(
+    "speed-low": Wrong("true wind speed 0.7 times the measured one", lambda _: Errors(speed=0.7)),
+    "speed-high": Wrong("true wind speed 1.4 times the measured one", lambda _: Errors(speed=1.4)),
+    "noise-doubled": Wrong(
         "twice the sensor noise, α and β; a count of hits has none", lambda _: Errors(noise=2.0)
     ),
-    "noise-halved": Named(
+    "noise-halved": Wrong(
         "half the sensor noise, α and β; a count of hits has none", lambda _: Errors(noise=0.5)
     ),
-    "gain-halved": Named("the sensor meets half the gas", lambda _: Errors(gain=0.5)),
-    "gain-doubled": Named("the sensor meets twice the gas", lambda _: Errors(gain=2.0)),
-    "rate-halved": Named("half the release rate", lambda _: Errors(q=0.5)),
-    "rate-doubled": Named("twice the release rate", lambda _: Errors(q=2.0)),
-    "tau-halved": Named("half the lifetime of the gas", lambda _: Errors(tau=0.5)),
-    "tau-doubled": Named("twice the lifetime of the gas", lambda _: Errors(tau=2.0)),
-    "d-halved": Named("half the diffusivity", lambda _: Errors(d=0.5)),
-    "d-doubled": Named("twice the diffusivity", lambda _: Errors(d=2.0)),
-    "cv-0.6": Named(
+    "gain-halved": Wrong("the sensor meets half the gas", lambda _: Errors(gain=0.5)),
+    "gain-doubled": Wrong("the sensor meets twice the gas", lambda _: Errors(gain=2.0)),
+    "rate-halved": Wrong("half the release rate", lambda _: Errors(q=0.5)),
+    "rate-doubled": Wrong("twice the release rate", lambda _: Errors(q=2.0)),
+    "tau-halved": Wrong("half the lifetime of the gas", lambda _: Errors(tau=0.5)),
+    "tau-doubled": Wrong("twice the lifetime of the gas", lambda _: Errors(tau=2.0)),
+    "d-halved": Wrong("half the diffusivity", lambda _: Errors(d=0.5)),
+    "d-doubled": Wrong("twice the diffusivity", lambda _: Errors(d=2.0)),
+    "cv-0.6": Wrong(
         "intermittent gas: its standard deviation is 0.6 times its mean", lambda _: Errors(cv=0.6)
     ),
-    "cv-1": Named("intermittent gas: its standard deviation equals its mean", lambda _: Errors(cv=1.0)),
-    "cv-2": Named("intermittent gas: its standard deviation is twice its mean", lambda _: Errors(cv=2.0)),
-    "cv-1-correlated": Named(
+    "cv-1": Wrong("intermittent gas: its standard deviation equals its mean", lambda _: Errors(cv=1.0)),
+    "cv-2": Wrong("intermittent gas: its standard deviation is twice its mean", lambda _: Errors(cv=2.0)),
+    "cv-1-correlated": Wrong(
         "as cv-1, with a correlation of 0.7 between one reading and the next",
         lambda _: Errors(cv=1.0, correlation=0.7),
     ),
-    "all-at-once": Named(
+    "all-at-once": Wrong(
         "wind, noise, gain, rate, lifetime, diffusivity and intermittency all drawn at random", all_at_once
     ),
-    "readings-lost": Named(
+    "readings-lost": Wrong(
         "20% of the readings have no value until they are taken again", lambda _: Errors(lost=0.2)
     ),
-    "source-outside": Named(
+    "source-outside": Wrong(
         "the source is outside the square [10, 25]²", lambda seed: Errors(source=outside(seed))
     ),
-    "spike": Named(
+    "spike": Wrong(
         "one false reading among the first 30, too high by 0.5 to 100 g/m³ or hits",
         lambda seed: spikes(seed, 1),
     ),
-    "spikes-3": Named("as spike, with three false readings", lambda seed: spikes(seed, 3)),
-    "stuck": Named("the sensor repeats one value, from 0 to 3 g/m³, from reading 10 on", stuck),
-    "stuck-noisy": Named(
+    "spikes-3": Wrong("as spike, with three false readings", lambda seed: spikes(seed, 3)),
+    "stuck": Wrong("the sensor repeats one value, from 0 to 3 g/m³, from reading 10 on", stuck),
+    "stuck-noisy": Wrong(
         "the sensor reads 1 ± 0.2 g/m³ everywhere",
         lambda _: Errors(stuck_from=0, stuck_at=1.0, stuck_std=0.2),
     ),
 }
 
 
-def check(name: str) -> None:
-    """Raise ValueError, with what is allowed, if no world has this name."""
-    if name not in WORLDS:
-        raise ValueError(f"no world {name!r}; wanted {', '.join(WORLDS)}")
+def combined(names: Sequence[str], seed: int) -> Errors:
+    """Return the errors of a mission under several wrong assumptions at once; none if there are no names.
 
-
-def errors(name: str, seed: int) -> Errors:
-    """Return the errors of a mission in a world. Raises ValueError if no world has this name."""
-    check(name)
-    return WORLDS[name].errors(seed)
+    Directions add, factors multiply. Raises ValueError where two say something of the same other thing.
+    """
+    usual: dict[str, Any] = Errors()._asdict()
+    total = dict(usual)
+    for name in names:
+        for field, more in WRONG[name].errors(seed)._asdict().items():
+            if more == usual[field]:
+                continue
+            if field == "direction_deg":
+                total[field] += more
+            elif field in FACTORS:
+                total[field] *= more
+            elif total[field] == usual[field]:
+                total[field] = more
+            else:
+                what = SAID.get(field, field)
+                raise ValueError(f"{' and '.join(names)} say more than once what the {what} is; wanted one")
+    return Errors(**total)

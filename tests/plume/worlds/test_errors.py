@@ -11,11 +11,13 @@ import pytest
 from msgspec.structs import asdict
 
 from plume.randomness import Keyed, keyed
-from plume.scenario import Scenario, draw
+from plume.scenario import AS_MODELLED, Scenario, draw
 from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold
-from plume.world import World, gas_of
-from plume.worlds import WORLDS, errors
+from plume.worlds.errors import WRONG
+from plume.worlds.names import named
+from plume.worlds.world import World, readings_of
 
+WORLDS = (AS_MODELLED, *WRONG)
 RELEASE = Scenario(source=(12.0, 13.0), q=200.0, u=2.0, phi=0.5, d=3.0, tau=10.0, start=(1.0, 2.0))
 PLACE = (11.0, 12.0)
 """Downwind of RELEASE's source."""
@@ -52,7 +54,13 @@ def readings(
 ) -> np.ndarray:
     """So many readings of one mission at PLACE, from reading `first` on."""
     world = World(RELEASE, seed, sensor, name)
-    return gas_of([world] * count, np.tile(PLACE, (count, 1)), range(first, first + count), Keyed())
+    return many(world, np.tile(PLACE, (count, 1)), first)
+
+
+def many(world: World, places: np.ndarray, first: int = 0) -> np.ndarray:
+    """Readings of one mission at places (M, 2), from reading `first` on."""
+    count = len(places)
+    return readings_of([world] * count, places, range(first, first + count), np.zeros(count), Keyed())[0]
 
 
 def turned(a: tuple[float, float], b: tuple[float, float]) -> float:
@@ -200,7 +208,7 @@ def test_correlated_gas_depends_on_the_step_alone_not_on_what_was_asked_before()
 
 
 def test_all_at_once_draws_each_error_from_its_range_and_none_with_another() -> None:
-    drawn = [errors("all-at-once", seed) for seed in SEEDS]
+    drawn = [named("all-at-once").errors(seed) for seed in SEEDS]
     numbers = {
         "direction": [it.direction_deg / 30 for it in drawn],
         "speed": [2 * math.log(it.speed / 0.7) / math.log(2) - 1 for it in drawn],
@@ -216,11 +224,11 @@ def test_all_at_once_draws_each_error_from_its_range_and_none_with_another() -> 
         assert within(np.array(values), 0.0, math.sqrt(1 / 3)), name
     correlations = np.corrcoef(list(numbers.values())) - np.eye(len(numbers))
     assert np.abs(correlations).max() < 5 / math.sqrt(len(SEEDS))
-    assert errors("all-at-once", 7) == errors("all-at-once", 7)
+    assert named("all-at-once").errors(7) == named("all-at-once").errors(7)
 
 
 def test_in_all_at_once_every_error_shows() -> None:
-    wrong = errors("all-at-once", 5)
+    wrong = named("all-at-once").errors(5)
     told = draw(5)
     world = World(told, 5, name="all-at-once")
     truth = world.truth
@@ -230,7 +238,7 @@ def test_in_all_at_once_every_error_shows() -> None:
     assert wrong.cv is not None
     place = (told.source[0] - 1.0, told.source[1])
     m = wrong.gain * formula(place, told.source, truth.q, truth.u, truth.phi, truth.d, truth.tau)
-    taken = gas_of([world] * MANY, np.tile(place, (MANY, 1)), range(MANY), Keyed())
+    taken = many(world, np.tile(place, (MANY, 1)))
     assert within(taken, m, math.sqrt((wrong.cv * m) ** 2 + wrong.noise**2 * ((0.3 * m) ** 2 + 0.2**2)))
 
 
@@ -261,7 +269,7 @@ def test_a_fifth_of_the_readings_is_lost_but_not_the_first_and_what_is_then_take
 def test_spikes_are_among_the_first_30_readings_and_log_uniform_from_a_half_to_100(
     name: str, count: int
 ) -> None:
-    drawn = [errors(name, seed).spikes for seed in SEEDS]
+    drawn = [named(name).errors(seed).spikes for seed in SEEDS]
     assert all(len({number for number, _ in spikes}) == count for spikes in drawn)
     numbers = np.array([number for spikes in drawn for number, _ in spikes])
     assert set(numbers.tolist()) == set(range(30))
@@ -276,7 +284,7 @@ def test_spikes_are_among_the_first_30_readings_and_log_uniform_from_a_half_to_1
 def test_a_spike_is_added_to_its_reading_alone_and_shows_only_what_its_kind_can_say(sensor: Sensor) -> None:
     for seed in range(300):
         spiked, modelled = World(draw(seed), seed, sensor, "spikes-3"), World(draw(seed), seed, sensor)
-        amounts = dict(errors("spikes-3", seed).spikes)
+        amounts = dict(named("spikes-3").errors(seed).spikes)
         for step in range(0, 31, 5):
             gas, amount = modelled.gas(PLACE, step), amounts.get(step, 0.0)
             shown = gas + amount
@@ -301,7 +309,7 @@ def test_a_stuck_sensor_repeats_one_value_from_reading_10_on_wherever_it_is() ->
 def test_a_noisy_stuck_sensor_reads_about_1_from_the_start_wherever_it_is() -> None:
     world = World(draw(3), 3, name="stuck-noisy")
     places = np.random.default_rng(0).uniform(0, 30, (MANY, 2))
-    assert within(gas_of([world] * MANY, places, range(MANY), Keyed()), 1.0, 0.2)
+    assert within(many(world, places), 1.0, 0.2)
     assert world.gas((1.0, 1.0), 0) == world.gas(world.truth.source, 0)
 
 
@@ -328,20 +336,24 @@ def test_a_reading_among_others_is_the_reading_alone_to_the_bit_whatever_their_w
     alone = [
         world.gas((x, y), step) for world, (x, y), step in zip(worlds(), places.tolist(), steps, strict=True)
     ]
-    assert gas_of(worlds(), places, steps, Keyed()).tolist() == alone
-    assert gas_of(worlds()[::-1], places[::-1], steps[::-1], Keyed()).tolist() == alone[::-1]
+    assert readings_of(worlds(), places, steps, np.zeros(len(steps)), Keyed())[0].tolist() == alone
+    assert (
+        readings_of(worlds()[::-1], places[::-1], steps[::-1], np.zeros(len(steps)), Keyed())[0].tolist()
+        == alone[::-1]
+    )
     assert all(value == np.float32(value) for value in alone)
 
 
-def test_the_page_on_physics_lists_the_worlds() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "physics.md").read_text()
-    section = page.partition("### Worlds that differ")[2].partition("\n\n| world |")[2].partition("\n\n")[0]
+def test_the_page_on_worlds_lists_the_wrong_assumptions() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "worlds.md").read_text()
+    section = page.partition("## Wrong assumptions")[2].partition("\n\n| world |")[2].partition("\n\n")[0]
     named = [name for row in section.splitlines() for name in re.findall(r"`([^`]+)`", row.split("|")[1])]
     assert named == list(WORLDS)
 
 
 def test_a_name_that_is_none_is_told_with_those_that_are() -> None:
     with pytest.raises(
-        ValueError, match=r"^no world 'wind-3'; wanted as-modelled, wind-10, wind-30, .*, stuck-noisy$"
+        ValueError,
+        match=r"^no world 'wind-3'; wanted as-modelled, puffs, walls, recorded, wind-10, wind-30, .*, stuck-noisy",
     ):
         World(draw(1), 1, name="wind-3")

@@ -1,0 +1,243 @@
+"""The world that one mission flies in: it knows the source, and says what instruments read."""
+
+import math
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from plume.elementary import Array, direction, float32
+from plume.flight import usual_s
+from plume.randomness import Abreast, Keyed, keyed, uniform
+from plume.scenario import AS_MODELLED, SOURCE_HIGH_M, SOURCE_LOW_M, Scenario, WorldError, draw
+from plume.sensor import GAUSSIAN, Hits, Sensor, Threshold
+from plume.worlds.air import Air, NoRelease, Steady, gas_of
+from plume.worlds.names import Named, named
+
+WindVector = tuple[float, float]  # (u cos φ, u sin φ) m/s, float32: points to where it comes from
+
+DRAWN_ANEW = 100  # times that a source is drawn until gas can leave there
+
+
+class World:
+    """A scenario, its air, the noise of its sensor, and how the truth differs from what is told.
+
+    It answers with what instruments would read.
+
+    `wind` is the wind as told, (u cos φ, u sin φ) in m/s, and points to where it comes from; `start` is
+    where the search begins, (x, y) in metres.
+
+    Example:
+        ```python
+        world = plumeward.World(plumeward.draw(7), seed=7)
+        world.gas((12.0, 15.0), step=0)  # the first reading, g/m³
+        ```
+    """
+
+    def __init__(
+        self, scenario: Scenario, seed: int, sensor: Sensor = GAUSSIAN, name: str = AS_MODELLED
+    ) -> None:
+        """Take the mission's seed: the noise of reading k is keyed by (seed, k).
+
+        Raises ValueError on a name that is none.
+
+        scenario, sensor: what the estimator is told. name: of a world, as `--world` takes it, which says how
+        the gas moves and how the truth differs.
+        """
+        self.scenario = scenario
+        self.seed = seed
+        self.sensor = sensor
+        self.name = name
+        chosen = named(name)
+        self.errors = wrong = chosen.errors(seed)
+        # The scenario as it truly is, by which missions are judged.
+        self.truth = msgspec.structs.replace(
+            scenario,
+            source=wrong.source or scenario.source,
+            q=wrong.q * scenario.q,
+            u=wrong.speed * scenario.u,
+            phi=scenario.phi + math.radians(wrong.direction_deg),
+            d=wrong.d * scenario.d,
+            tau=wrong.tau * scenario.tau,
+        )
+        self.air = self._released(chosen)
+        told = scenario.wind
+        self.wind: WindVector = (float32(told[0]), float32(told[1]))
+        self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
+        # What turns the true wind into the measured one; and that one, where the wind is steady.
+        cosine, sine = direction(wrong.direction_deg / 360.0) if wrong.direction_deg else (1.0, 0.0)
+        self._anemometer = float(cosine), float(sine), wrong.speed
+        self._steady = self._measured(*self.air.wind) if isinstance(self.air, Steady) else None
+        self._instrument = sensor, wrong.cv is None
+        if wrong.noise != 1 and not isinstance(sensor, Hits):
+            noisy = replace(
+                sensor,
+                sensor_noise=wrong.noise * sensor.sensor_noise,
+                environment_noise=wrong.noise * sensor.environment_noise,
+            )
+            self._instrument = noisy, wrong.cv is None
+        self._strengths: list[float] = []
+
+    def _released(self, chosen: Named) -> Air:
+        """Return the air. A source that was drawn where no gas can leave is drawn anew, as `draw` does.
+
+        Raises NoRelease if the scenario says where it is.
+        """
+        rng = keyed(self.seed, "source drawn anew")
+        for _ in range(DRAWN_ANEW):
+            with suppress(NoRelease):
+                return chosen.air(self.truth, self.seed)
+            if self.scenario.source != draw(self.seed).source or self.errors.source:
+                break
+            x, y = uniform(rng, np.full(2, SOURCE_LOW_M), SOURCE_HIGH_M).tolist()
+            self.truth = msgspec.structs.replace(self.truth, source=(x, y))
+        return chosen.air(self.truth, self.seed)
+
+    def gas(self, position: tuple[float, float], step: int, time_s: float | None = None) -> float:
+        """Take gas reading number `step` (0 at the start) at a position (x, y) m.
+
+        Returns a float32 value in the sensor's unit. time_s: of the mission; by default that of a search in
+        steps of the usual length.
+        """
+        return self.measure(position, step, time_s)[0]
+
+    def measure(
+        self, position: tuple[float, float], step: int, time_s: float | None = None
+    ) -> tuple[float, WindVector]:
+        """Take reading number `step`: the gas, as `gas` does, and the wind that an anemometer reads there."""
+        at_s = usual_s(step) if time_s is None else time_s
+        gas, winds = readings_of([self], np.array([position]), [step], np.array([at_s]), self._noise)
+        return gas.tolist()[0], tuple(winds[0].tolist())
+
+    def _measured(self, east: float, north: float) -> WindVector:
+        """Return what the anemometer reads of the true wind, m/s."""
+        cosine, sine, speed = self._anemometer
+        return (
+            float32((cosine * east + sine * north) / speed),
+            float32((cosine * north - sine * east) / speed),
+        )
+
+    def loses(self, step: int) -> bool:
+        """Whether reading number `step` has no value at first.
+
+        The one then taken in its place is that of `gas`.
+        """
+        return (
+            step > 0
+            and self.errors.lost > 0
+            and bool(self._noise.at(self.seed, "lost reading", step).random() < self.errors.lost)
+        )
+
+    def _strength(self, step: int, noise: Keyed) -> float:
+        """The gas that reading `step` meets, by the plume's mean.
+
+        It is gamma-distributed with mean 1 and standard deviation cv. Correlated gas follows the beta-gamma
+        autoregressive process of Lewis, McKenzie and Hugus (1989), whose marginals are gamma, too:
+        X_n = B_n X_(n−1) + G_n with B ~ Beta(k ρ, k (1 − ρ)), G ~ Gamma(k (1 − ρ)) and k = 1/cv² has the
+        autocorrelation ρ^lag.
+        """
+        cv, correlation = self.errors.cv, self.errors.correlation
+        if not cv:
+            return 1.0
+        shape = 1 / (cv * cv)
+        if not correlation:
+            return noise.at(self.seed, "gas", step).standard_gamma(shape) / shape
+        while (number := len(self._strengths)) <= step:
+            rng = noise.at(self.seed, "gas", number)
+            kept = (
+                rng.beta(shape * correlation, shape * (1 - correlation)) * self._strengths[-1]
+                if number
+                else 0.0
+            )
+            self._strengths.append(
+                kept + rng.standard_gamma(shape * (1 - correlation) if number else shape) / shape
+            )
+        return self._strengths[step]
+
+    def _stuck(self, step: int, noise: Keyed) -> float:
+        """The reading of a stuck sensor."""
+        wrong = self.errors
+        return self._shown(
+            wrong.stuck_at + wrong.stuck_std * noise.at(self.seed, "stuck", step).standard_normal()
+        )
+
+    def _shown(self, value: float) -> float:
+        """What the sensor shows for a false value, one that it could give.
+
+        A count is whole, and below its threshold a sensor reads 0.
+        """
+        match self.sensor:
+            case Hits():
+                return max(round(value), 0)
+            case Threshold(threshold) if value < threshold:
+                return 0.0
+        return value
+
+    @cached_property
+    def _noise(self) -> Keyed:
+        return Keyed()
+
+
+def readings_of(
+    worlds: Sequence[World], positions: Array, steps: Sequence[int], times_s: Array, noise: Keyed
+) -> tuple[Array, Array]:
+    """Take one reading in each of M worlds: gas (M,) and measured wind (M, 2), float32 values.
+
+    positions: (M, 2) m.  times_s: (M,) of each mission.  noise: the generator to draw with.
+    """
+    places = np.zeros((len(worlds), 3))
+    places[:, :2] = positions
+    gas, winds = _air(worlds, places, times_s)
+    means = gas * [world.errors.gain for world in worlds]
+    readings = np.empty(len(worlds))
+    alike: dict[tuple[Sensor, bool], list[int]] = {}
+    for number, world in enumerate(worlds):
+        alike.setdefault(world._instrument, []).append(number)
+    for (sensor, gas_as_told), those in alike.items():
+        draws = Abreast(noise, [(worlds[i].seed, "sensor", steps[i]) for i in those])
+        drawn = None if gas_as_told else means[those] * [worlds[i]._strength(steps[i], noise) for i in those]
+        readings[those] = sensor.measure(means[those], draws, drawn)
+    for number, (world, step) in enumerate(zip(worlds, steps, strict=True)):
+        for spiked, amount in world.errors.spikes:
+            if step == spiked:
+                readings[number] = world._shown(readings[number] + amount)
+        if step >= world.errors.stuck_from:
+            readings[number] = world._stuck(step, noise)
+    return readings.astype(np.float32).astype(np.float64), winds
+
+
+def _air(worlds: Sequence[World], places: Array, times_s: Array) -> tuple[Array, Array]:
+    """Return the gas (M,) and the measured wind (M, 2), float32 values, each at one place of a world."""
+    plumes = [world.air for world in worlds if isinstance(world.air, Steady)]
+    if len(plumes) == len(worlds):
+        return gas_of(plumes, places), np.array([world._steady for world in worlds])
+    gas, winds = np.empty(len(worlds)), np.empty((len(worlds), 2))
+    for i, world in enumerate(worlds):
+        gas[i], wind = _asked(world, places[i : i + 1], times_s[i : i + 1])
+        winds[i] = world._measured(*wind)
+    return gas, winds
+
+
+def _asked(world: World, places: Array, times_s: Array) -> tuple[float, tuple[float, float]]:
+    """Return the gas and the true wind at one place. Raises WorldError: it may be anybody's code."""
+    try:
+        gas, winds = world.air(places, times_s)
+        amount, wind = np.asarray(gas, np.float64).reshape(()), np.asarray(winds, np.float64).reshape(2)
+    except Exception as error:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        raise WorldError(
+            f"world {world.name} failed: {type(error).__name__}: {' '.join(str(error).split())[:200]} "
+            f"({Path(where.filename).name}, line {where.lineno})"
+        ) from error
+    if not (0 <= amount < math.inf and np.isfinite(wind).all()):
+        raise WorldError(
+            f"world {world.name} said gas {amount:g} and wind {wind.tolist()}; wanted gas from 0, in g/m³, "
+            "and finite numbers"
+        )
+    east, north = wind.tolist()
+    return float(amount), (east, north)
