@@ -17,7 +17,7 @@ from agent.policies import PolicyError, add_policy_argument, reach
 from link import cli
 from link.bus.session import Bus
 from plume.randomness import MAX_SEED
-from plume.scenario import AREA_M, BUDGET_STEPS
+from plume.scenario import AREA_M, BUDGET_STEPS, WorldError
 
 # Commands with a module of their own. It is imported only for its command: a service starts fast and knows
 # nothing of trials.
@@ -146,7 +146,7 @@ def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> i
     except cli.BadInput as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    except PolicyError as error:
+    except (PolicyError, WorldError) as error:
         if error.__cause__:
             traceback.print_exception(error.__cause__)
         print(f"error: {error}", file=sys.stderr)

@@ -32,9 +32,10 @@ NOISE_SIGMA = 0.5
 # sensor averages; steady gas stays the most likely value.
 CV_STD = 1.2
 
-# Share of the readings that say nothing of the source, by assumption. Three false readings are a tenth of a
-# short search. With a smaller share they would count as gusts of a thin plume, and the search would follow.
-SPIKES: Mapping[str, float] = {"paper": 0.0, "field": 0.1}
+# Share of the readings that say nothing of the source, by assumption. A twentieth is one or two false ones
+# in a search. With a smaller share a few count as gusts of a thin plume, and the search follows them; with a
+# greater one true gusts count as spikes, and a search in intermittent gas takes longer.
+SPIKES: Mapping[str, float] = {"paper": 0.0, "field": 0.05}
 
 # Absolute priors of the wind: the measured value is then ignored, so an error of its measurement means
 # nothing.

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from plume.compiled import subroutine
-from plume.numerics import direction, log
+from plume.numerics import direction, exp, log
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_ONE = np.uint64(0xBF58476D1CE4E5B9)
@@ -46,3 +46,16 @@ def normals(key: np.uint64, index: int) -> tuple[float, float]:
     radius = math.sqrt(-2.0 * log(uniform(key, index)))
     cosine, sine = direction(uniform(key, index + 1))
     return radius * cosine, radius * sine
+
+
+@subroutine
+def poisson(key: np.uint64, index: int, expected: float) -> int:
+    """Draw a Poisson number of this mean, below 700, from number `index` of a sequence, by inversion."""
+    chance = uniform(key, index)
+    share, count = exp(-expected), 0
+    total = share
+    while chance > total and share > 0.0:
+        count += 1
+        share *= expected / count
+        total += share
+    return count

@@ -19,6 +19,10 @@ AS_MODELLED = "as-modelled"  # the world that matches what the estimator assumes
 LIFETIME_S = 10.0
 
 
+class WorldError(ValueError):
+    """A world could not be asked, or said what no air can say; the text is one line."""
+
+
 class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
     """One gas release. It holds the true source: never give it to code that estimates or plans."""
 

@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import pytest
 from ruamel.yaml import YAML
 
+from plume.walls.buildings import read
 from sitl.script.script import load
 from tests.clients.installed import free_udp_port, python_of
 from tests.kernels import compile_kernels, copy_kernels
@@ -551,10 +552,13 @@ def test_the_page_says_with_which_python_its_example_for_mavsdk_4_runs() -> None
 
 
 @pytest.mark.parametrize("block", of("yaml"), ids=lambda block: f"{block.page.name}:{block.line}")
-def test_an_example_in_yaml_is_a_mission_that_can_be_flown(block: Block, tmp_path: Path) -> None:
+def test_an_example_in_yaml_is_a_mission_or_a_site_that_can_be_flown(block: Block, tmp_path: Path) -> None:
     script = tmp_path / "example.yaml"
     script.write_text(block.text)
-    load(script)
+    if "buildings:" in block.text:
+        assert read(str(script)).buildings
+    else:
+        load(script)
 
 
 @pytest.mark.parametrize("block", of("toml"), ids=lambda block: f"{block.page.name}:{block.line}")

@@ -1,4 +1,4 @@
 """The payload: the gas sensor of a real autopilot, simulated or with a driver.
 
-Imports: plume.worlds, link, link.bus, aircraft.bridge.
+Imports: plume, plume.worlds, link, link.bus, aircraft.bridge.
 """

@@ -2,14 +2,18 @@
 
 import argparse
 import contextlib
+import math
 
 from aircraft.payload import service
-from aircraft.payload.drivers import Driven, Measure, make, said
+from aircraft.payload.drivers import SENSOR_ERROR, Driven, Measure, make, said
+from aircraft.payload.messages import Question, Sample
 from aircraft.payload.options import SIMULATED, add_payload_argument
 from aircraft.payload.simulated import Simulated
 from link import cli
 from link.bus.inbox import Inbox
+from link.bus.log import Log
 from link.bus.session import Bus
+from plume.scenario import WorldError
 from plume.worlds.world import World
 
 OF_THE_PLUME = ("mission", "seed", "sensor", "dwell", "world")  # arguments of the simulated payload alone
@@ -33,7 +37,7 @@ def run(args: argparse.Namespace, world: World) -> int:
         )
         bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
         bus.tally.about = args.payload
-        measure: Measure = Simulated(world)
+        measure: Measure = sensor_in(world, bus.log)
         if args.payload != SIMULATED:
             try:
                 driver = make(args.payload, bus.log)
@@ -46,3 +50,20 @@ def run(args: argparse.Namespace, world: World) -> int:
             measure = Driven(driver, bus.log)
         service.run(bus, service.Measuring(measure, inbox))
     return 0
+
+
+def sensor_in(world: World, log: Log) -> Measure:
+    """Return a sensor in a world. Where the world fails it has no value, which the log says once."""
+    simulated, told = Simulated(world), set[str]()
+
+    def measure(question: Question) -> Sample:
+        try:
+            return simulated(question)
+        except WorldError as error:
+            log.tally.refuse(SENSOR_ERROR)
+            if str(error) not in told:
+                told.add(str(error))
+                log.warning(str(error))
+            return Sample(question.time_boot_ms, math.nan, question.wind)
+
+    return measure

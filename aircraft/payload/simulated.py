@@ -5,6 +5,8 @@ import math
 import msgspec
 
 from aircraft.payload.messages import Question, Sample
+from link.cli import BadInput
+from plume.scenario import WorldError
 from plume.worlds.exposure import Before
 from plume.worlds.world import World
 
@@ -17,12 +19,18 @@ class Simulated:
     """
 
     def __init__(self, world: World) -> None:
-        """Take the world, and a first look at it: some worlds compile, which takes seconds."""
+        """Take the world, and a first look at it: some worlds compile, which takes seconds.
+
+        Raises BadInput if it fails.
+        """
         self.world = world
         self._lost = -1
         self._number, self._latest = -1, Before(world.start, 0.0, 0.0)  # the newest reading
         self._before: Before | None = None  # the one before it
-        world.measure(world.start, 0)
+        try:
+            world.measure(world.start, 0)
+        except WorldError as error:
+            raise BadInput(f"--world: {error}") from error
 
     def __call__(self, question: Question, time_s: float | None = None) -> Sample:
         """Measure once.

@@ -111,9 +111,10 @@ def _without_spikes(
     sensor = model.sensor
     kind, slope, floor = sensor[0], sensor[1] * sensor[1], sensor[2] * sensor[2]
     plain = is_plain(model.priors)
-    if kind == HITS_KIND and gas == 0.0:
+    if kind == HITS_KIND and gas == 0.0:  # most are, and need no logarithm
+        constant = log_gamma(1.0)
         for i in range(count):
-            result[i] = -(sensor[1] * means[i] + sensor[2])
+            result[i] = -(sensor[1] * means[i] + sensor[2]) - constant
     elif kind == HITS_KIND:
         constant = log_gamma(gas + 1.0)
         for i in range(count):

@@ -10,8 +10,8 @@ from plume.elementary import Array
 from plume.scenario import Scenario
 
 
-class WorldError(ValueError):
-    """The air of a world could not be asked, or said what no air can say; the text is one line."""
+class NoRelease(ValueError):
+    """In this world gas cannot leave where the source is, as inside a building; elsewhere it can."""
 
 
 class Air(Protocol):
@@ -30,7 +30,7 @@ class Air(Protocol):
 
 
 # Makes the air of a mission: (truth, seed, parameters by keyword) -> Air. Raises ValueError on a parameter
-# that is not allowed.
+# that is not allowed, and NoRelease.
 Make = Callable[..., Air]
 
 

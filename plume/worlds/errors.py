@@ -48,7 +48,12 @@ class Errors(NamedTuple):
 
 FACTORS = frozenset({"speed", "q", "d", "tau", "gain", "noise"})  # errors that multiply
 # What other errors say, in words.
-SAID = {"cv": "intermittency", "correlation": "intermittency", "stuck_from": "stuck sensor"}
+SAID = {
+    "cv": "intermittency",
+    "correlation": "intermittency",
+    "stuck_from": "stuck sensor",
+    "spikes": "false readings",
+}
 
 
 class Wrong(NamedTuple):

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from plume.compiled import kernel
-from plume.draws import key_of, normals, uniform
+from plume.compiled import kernel, subroutine
+from plume.draws import key_of, normals, poisson, uniform
 from plume.elementary import Array
 from plume.numerics import cosine_and_sine, exp, total_of
 
@@ -52,17 +52,10 @@ def path_of(seed: int, first: int, count: int, before: Array, wind: Array) -> Ar
     return path
 
 
-@kernel("int64(uint64, int64, float64)")
+@subroutine
 def count_of(seed: int, cell: int, expected: float) -> int:
-    """Draw the Poisson number of puffs that leave in a cell of time, by inversion."""
-    chance = uniform(key_of(seed, cell + EARLIEST, 0, OF_THE_COUNT), 0)
-    share, count = exp(-expected), 0
-    total = share
-    while chance > total and share > 0.0:
-        count += 1
-        share *= expected / count
-        total += share
-    return count
+    """Draw the number of puffs that leave in a cell of time."""
+    return poisson(key_of(seed, cell + EARLIEST, 0, OF_THE_COUNT), 0, expected)
 
 
 @kernel("float64[:, ::1](uint64, int64, int64, float64, float64, float64[:, ::1], int64, float64)")

@@ -49,19 +49,17 @@ def puffs(
     and of its speed, as a share; both are Ornstein–Uhlenbeck processes, alike for all puffs, with the
     correlation time `wander`, s. Raises ValueError on a number outside `LIMITS`.
     """
-    given = {
-        "share": share,
-        "rate": rate,
-        "size": size,
-        "meander": meander,
-        "gusts": gusts,
-        "wander": wander,
-    }
+    given = within_limits(share=share, rate=rate, size=size, meander=meander, gusts=gusts, wander=wander)
+    return Puffs(scenario, seed, **given)
+
+
+def within_limits(**given: float) -> dict[str, float]:
+    """Return the given parameters. Raises ValueError on one outside `LIMITS`."""
     for name, value in given.items():
         low, high = LIMITS[name]
         if not low <= value <= high:
             raise ValueError(f"{name} is {value:g}; wanted a number from {low:g} to {high:g}")
-    return Puffs(scenario, seed, **given)
+    return given
 
 
 class Puffs:

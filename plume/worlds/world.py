@@ -3,6 +3,7 @@
 import math
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -12,17 +13,19 @@ import numpy as np
 
 from plume.elementary import Array, direction, float32
 from plume.flight import usual_s
-from plume.randomness import Abreast, Keyed
-from plume.scenario import AS_MODELLED, Scenario
+from plume.randomness import Abreast, Keyed, keyed, uniform
+from plume.scenario import AS_MODELLED, SOURCE_HIGH_M, SOURCE_LOW_M, Scenario, WorldError, draw
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import GAUSSIAN, Sensor
 from plume.sensors.sensor import Hits, Threshold
-from plume.worlds.air import Steady, WorldError, gas_of
+from plume.worlds.air import Air, NoRelease, Steady, gas_of
 from plume.worlds.exposure import Before, is_timed, met
-from plume.worlds.names import named
+from plume.worlds.names import Named, named
 
 HOUR_S = 3600.0
 WindVector = tuple[float, float]  # (u cos φ, u sin φ) m/s, float32: points to where it comes from
+
+DRAWN_ANEW = 100  # times that a source is drawn until gas can leave there
 
 
 class World:
@@ -66,7 +69,7 @@ class World:
             d=wrong.d * scenario.d,
             tau=wrong.tau * scenario.tau,
         )
-        self.air = chosen.air(self.truth, seed)
+        self.air = self._released(chosen)
         told = scenario.wind
         self.wind: WindVector = (float32(told[0]), float32(told[1]))
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
@@ -86,6 +89,21 @@ class World:
             )
             self._instrument = noisy, wrong.cv is None or of_time
         self._strengths: list[float] = []
+
+    def _released(self, chosen: Named) -> Air:
+        """Return the air. A source that was drawn where no gas can leave is drawn anew, as `draw` does.
+
+        Raises NoRelease if the scenario says where it is.
+        """
+        rng = keyed(self.seed, "source drawn anew")
+        for _ in range(DRAWN_ANEW):
+            with suppress(NoRelease):
+                return chosen.air(self.truth, self.seed)
+            if self.scenario.source != draw(self.seed).source or self.errors.source:
+                break
+            x, y = uniform(rng, np.full(2, SOURCE_LOW_M), SOURCE_HIGH_M).tolist()
+            self.truth = msgspec.structs.replace(self.truth, source=(x, y))
+        return chosen.air(self.truth, self.seed)
 
     def gas(self, position: tuple[float, float], step: int, time_s: float | None = None) -> float:
         """Take gas reading number `step` (0 at the start) at a position (x, y) m.

@@ -23,7 +23,7 @@ from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival
 from link.modes import Mode
 from plume.flight import TRY_AGAIN_S, leg_s
-from plume.worlds.air import WorldError
+from plume.scenario import WorldError
 from plume.worlds.world import World
 from sitl.autopilot.config import STREAM_S
 from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol

@@ -177,13 +177,14 @@ KNOWLEDGE: list[dict[str, Prior]] = [
 
 @pytest.mark.parametrize("sensor", [GAUSSIAN, Gaussian(cv=0.7), Threshold(0.5), Hits()], ids=text)
 @pytest.mark.parametrize("priors", KNOWLEDGE, ids=lambda priors: ",".join(priors))
-def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: Sensor) -> None:
+@pytest.mark.parametrize("assume", ["paper", "field"])
+def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: Sensor, assume: str) -> None:
     """Particles of no density at all accept everything: that shows the proposals, and then which of them
     must be accepted.
     """
     if isinstance(sensor, Hits):  # their noise is Poisson's
         priors = {name: prior for name, prior in priors.items() if name != "noise"}
-    config = Config(rate=270.0, diffusivity=4.2, priors=priors, sensor=sensor)
+    config = Config(rate=270.0, diffusivity=4.2, priors=priors, sensor=sensor, assume=assume)
     rng, count = np.random.default_rng(6), 3000
     readings = np.tile(READINGS, (5, 1))
     readings[:, :2] += rng.uniform(-3, 3, (15, 2))
@@ -191,6 +192,7 @@ def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: S
         rng.poisson(readings[:, 5]) if isinstance(sensor, Hits) else readings[:, 5] * (rng.random(15) < 0.6)
     )
     readings[3, 6] = 0.3
+    readings[7, 5] = 40.0  # under `field`, perhaps a spike
     near = {
         "x": (8, 18),
         "y": (8, 18),
@@ -198,13 +200,17 @@ def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: S
         "noise": (0.3, 3),
         "wind-direction": (-40, 40),
         "tau": (5, 20),
+        "wind-speed": (0.5, 2),
+        "cv": (0.1, 2),
     }
     start = np.array([rng.uniform(*near[name], count) for name in config.unknowns])
     targets, how = targets_of(start, config, readings), (readings, config.model, 1, SEED, 0)
     proposals, said = start.copy(), np.full(count, -1e300)
     move(proposals, said, *how)
     needed = targets + np.log(first_uniforms(SEED, len(readings) - 1, 0, 2, count))
-    if not priors:  # proposals that do not depend on the particle: Student's t with 4 degrees of freedom, density (1 + r²/4)^-3
+    if (
+        config.unknowns == ("x", "y")
+    ):  # proposals that do not depend on the particle: Student's t with 4 degrees of freedom, density (1 + r²/4)^-3
         precision = np.linalg.inv(np.cov(start, ddof=0))
         for sign, places in ((1, proposals), (-1, start)):
             off = places - start.mean(axis=1)[:, None]

@@ -95,7 +95,7 @@ def test_what_there_is_to_choose_from_is_listed_by_name(
     assert {"homing", "infotaxis", "space-aware-infotaxis", "ppo", "dqn", "ddpg"} <= set(policies)
     kinds: list[Sensor] = [parse(text) for text in sensors]  # as --sensor takes them
     assert kinds == [kind() for kind in KINDS.values()]
-    assert list(worlds) == ["as-modelled", "puffs", "recorded", *errors.WRONG]
+    assert list(worlds) == ["as-modelled", "puffs", "walls", "recorded", *errors.WRONG]
     assert set(assumptions) == {"paper", "field"}
 
 
@@ -159,7 +159,7 @@ WRONG = [
     (
         ["fly", "--world", "wind-3"],
         "plumeward fly: error: --world: no world 'wind-3'; did you mean 'wind-30'? Wanted as-modelled, "
-        "puffs, recorded, wind-10, ",
+        "puffs, walls, recorded, wind-10, ",
     ),
     (
         ["rollout", "--world", "wind"],
@@ -167,7 +167,7 @@ WRONG = [
     ),
     (
         ["evaluate", "--world", "cv-1,x"],
-        "plumeward evaluate: error: --world: no world 'x'; wanted as-modelled, puffs, recorded, wind-10, wind-30, ",
+        "plumeward evaluate: error: --world: no world 'x'; wanted as-modelled, puffs, walls, recorded, wind-10, wind-30, ",
     ),
     (["fly", "--qqq=3"], "plumeward fly: error: no flag '--qqq'; plumeward fly --help lists them"),
     (["agent", "--polcy", "homing"], "plumeward agent: error: no flag '--polcy'; did you mean '--policy'?"),

@@ -260,6 +260,7 @@ def scenarios() -> str:
 
 
 MOVING = "puffs:meander=10,gusts=0.1"  # a world in which gas and wind move
+WALLED = "walls:file=courtyard"
 
 
 def readings(world: str) -> str:
@@ -303,7 +304,9 @@ def checks() -> dict[str, Callable[[], str]]:
     """All checks by name, in the order in which a difference should be looked for."""
     found: dict[str, Callable[[], str]] = {"scenarios": scenarios}
     found |= {f"prior/{kind}": partial(drawn, kind) for kind in PRIORS}
-    found |= {f"readings/{world}": partial(readings, world) for world in (AS_MODELLED, *WRONG, MOVING)}
+    found |= {
+        f"readings/{world}": partial(readings, world) for world in (AS_MODELLED, *WRONG, MOVING, WALLED)
+    }
     found |= {f"golden/{name}": partial(golden, name) for name in GOLDEN}
     found |= {
         f"flight/{policy}-paper": partial(flight, policy, "gaussian", "paper", "as-modelled", 60)

@@ -45,7 +45,7 @@ class Services:
             self._monkeypatch.setattr(sys, "argv", [part, "--connect", self._router, *words])
             thread = threading.Thread(target=_serve, args=(module.main,))
             thread.start()
-            self._running.append((self._ready.get(timeout=60), thread))
+            self._running.append((self._ready.get(timeout=400), thread))
 
     def _bus(self) -> type[Bus]:
         ready = self._ready

@@ -131,7 +131,7 @@ def test_a_wheel_made_from_the_sdist_is_the_wheel_made_from_the_checkout(
 
 
 def test_an_install_needs_no_torch_but_with_the_extra_that_trains(wheel: Path) -> None:
-    extras = {name: set() for name in ("", "train", "view", "ray", "bench", "docs", "test")}
+    extras = {name: set() for name in ("", "train", "view", "ray", "bench", "docs", "plumes", "fuzz", "test")}
     for requirement in requirements(wheel):
         extras[
             next((extra for extra in extras if extra and f'extra == "{extra}"' in str(requirement)), "")
@@ -140,6 +140,7 @@ def test_an_install_needs_no_torch_but_with_the_extra_that_trains(wheel: Path) -
     assert extras["train"] == learning
     assert extras["view"] == {"matplotlib", "pillow"}
     assert extras["ray"] == {"ray"}
+    assert extras["plumes"] == {"h5py", "numcodecs"}
     assert "stonesoup" in extras["bench"]
     assert extras["docs"] == {"mkdocs-material", "mkdocstrings"}
     assert (

@@ -19,7 +19,7 @@ def test_three_vehicles_at_once_are_each_found_by_a_client_of_their_own(start) -
         start("sitl", "uav", "-I", str(FIRST + n), "--out", "udpout:127.0.0.1", *sysid)
     homes = []
     for client, system in zip(clients, (FIRST + 1, FIRST + 2, 7), strict=True):
-        at = client.recv_match(type="GLOBAL_POSITION_INT", blocking=True, timeout=60)
+        at = client.recv_match(type="GLOBAL_POSITION_INT", blocking=True, timeout=400)
         assert at.get_srcSystem() == system
         homes.append((at.lat / 1e7, at.lon / 1e7))
         client.close()
@@ -37,7 +37,7 @@ def test_a_link_speaks_to_several_places_and_a_home_that_is_chosen_stays(start) 
     ]
     start("sitl", "uav", "-I", "5", "--home=-35.36,149.16,584,90", *outs)
     for client in clients:
-        at = client.recv_match(type="GLOBAL_POSITION_INT", blocking=True, timeout=60)
+        at = client.recv_match(type="GLOBAL_POSITION_INT", blocking=True, timeout=400)
         assert (at.get_srcSystem(), at.lat, at.lon, at.hdg) == (6, -353600000, 1491600000, 9000)
         client.close()
 

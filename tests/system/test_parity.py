@@ -173,6 +173,7 @@ def test_with_little_known_it_flies_the_same_over_the_bus(
     [
         *(full("wind-30"), full("cv-1-correlated"), full("readings-lost"), "all-at-once"),
         "puffs:meander=10,gusts=0.1+readings-lost",
+        "walls:file=courtyard+wind-10",
     ],
 )
 def test_a_mission_in_another_world_is_the_same_over_the_bus(

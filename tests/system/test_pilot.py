@@ -20,7 +20,7 @@ class Pilot:
 
     def until(self, kind: str, holds: Callable[[object], bool]) -> object:
         """Return the first message of a kind that holds; fails if none comes within a minute."""
-        while message := self.link.recv_match(type=kind, blocking=True, timeout=60):
+        while message := self.link.recv_match(type=kind, blocking=True, timeout=400):
             if holds(message):
                 return message
         raise AssertionError(f"no such {kind} within a minute")

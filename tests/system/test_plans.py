@@ -27,7 +27,7 @@ class Station:
 
     def until(self, *kinds: str, holds: Callable[[Any], bool] = lambda _: True) -> Any:
         """Return the first message of a kind that holds; fails if none comes within a minute."""
-        while message := self.link.recv_match(type=list(kinds), blocking=True, timeout=60):
+        while message := self.link.recv_match(type=list(kinds), blocking=True, timeout=400):
             if holds(message):
                 return message
         raise AssertionError(f"no such {kinds} within a minute")
@@ -100,7 +100,7 @@ def station(start: Callable) -> Iterator[Station]:
     """A station at a vehicle alone, 5 times as fast as real time."""
     station = Station()
     start("sitl", "uav", "--out", f"udpout:127.0.0.1:{station.link.port.getsockname()[1]}", "--speedup", "5")
-    station.link.wait_heartbeat(timeout=60)
+    station.link.wait_heartbeat(timeout=400)
     for message_id in (
         30,
         33,

@@ -365,7 +365,7 @@ class TestVerify:
             "--record",
             str(flown),
         ]
-        subprocess.run(mission, check=True, cwd=tmp_path, timeout=60, capture_output=True)
+        subprocess.run(mission, check=True, cwd=tmp_path, timeout=400, capture_output=True)
         _, result = verify.passes(flown)
         assert result["beliefs"] == len(said(flown, "belief"))
 

@@ -282,7 +282,7 @@ def test_what_cannot_be_signed_gets_one_line_and_status_2(words: list[str], said
         [sys.executable, "-m", "sitl", *words],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=400,
         cwd=key.parent,
         env={"PYTHONPATH": str(Path(__file__).parents[2]), "PATH": "/usr/bin:/bin"},
     )

@@ -102,9 +102,9 @@ def test_a_part_that_refuses_messages_is_refusing_and_says_why(
     with Stranger(router) as stranger:
         beliefs, publish = stranger.subscribe("belief"), stranger.publisher("reading")
         publish(stranger.reading(5000))
-        assert belief(beliefs.get(timeout=30))["step"] == 0
+        assert belief(beliefs.get(timeout=400))["step"] == 0
         publish(stranger.reading(5000))  # a duplicate, as on any radio
-        assert belief(beliefs.get(timeout=30))["step"] == 0
+        assert belief(beliefs.get(timeout=400))["step"] == 0
         assert status(router, "--parts", "estimator")[0] == 0
         publish(b"noise")
         wait_until(lambda: stack["estimator"].says("refused reading: malformed"))

@@ -21,7 +21,7 @@ def station() -> Iterator:
 
 
 def until(station, kind: str, holds: Callable):
-    while message := station.recv_match(type=kind, blocking=True, timeout=60):
+    while message := station.recv_match(type=kind, blocking=True, timeout=400):
         if holds(message):
             return message
     raise AssertionError(f"no such {kind} within a minute")

@@ -216,7 +216,7 @@ def test_another_system_on_the_vehicles_bus_gets_no_command_and_changes_no_pictu
             assert page.order("land")["reason"] == "Land refused: on the ground"
             assert "uav: a new mission begins" not in page.happened["uav/1"]
             assert page.scenes["uav/1"]["craft"]["y"] == pytest.approx(0.0, abs=0.1)
-        told = [message.target_system for message in messages(commands.get(timeout=60)).values()]
+        told = [message.target_system for message in messages(commands.get(timeout=400)).values()]
         assert told == [1]
 
 

@@ -6,9 +6,12 @@ import math
 
 import pytest
 
+from aircraft.payload.command import sensor_in
 from aircraft.payload.messages import Question
 from aircraft.payload.simulated import Simulated
-from plume.scenario import draw
+from link.bus.log import Log
+from link.bus.tally import Tally
+from plume.scenario import WorldError, draw
 from plume.sensors.sensor import Gaussian
 from plume.worlds.world import World
 
@@ -81,3 +84,23 @@ def test_in_a_world_that_loses_readings_a_lost_one_has_a_value_when_it_is_asked_
     for number in lost:
         assert math.isnan(simulated(question(number)).gas)
         assert math.isfinite(simulated(question(number, at_ms=5000)).gas)
+
+
+def test_where_the_world_fails_it_has_no_value_which_the_log_says_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As a recorded plume of which a later frame is broken."""
+
+    class Broken(World):
+        def measure(self, position: Pair, step: int, time_s: float | None = None) -> tuple[float, Pair]:
+            if step > 1:
+                raise WorldError("world recorded failed: frame 9: cut off")
+            return super().measure(position, step, time_s)
+
+    log = Log("payload", "uav/1", Tally(), "info")
+    measure, world = sensor_in(Broken(draw(SEED), SEED), log), World(draw(SEED), SEED)
+    assert measure(question(1)).gas == world.gas((3.0, 4.0), 1)
+    for number in (2, 3):
+        assert math.isnan(measure(question(number)).gas)
+    assert capsys.readouterr().err.count("frame 9: cut off") == 1
+    assert log.tally.refused.total() == 2

@@ -108,7 +108,9 @@ def test_the_true_wind_is_to_either_side_of_the_measured_one_by_the_angle_and_as
         )
 
 
-@pytest.mark.parametrize("name", [name for name in WORLDS if not name.startswith(("cv", "stuck", "all"))])
+@pytest.mark.parametrize(
+    "name", [name for name in WORLDS if not name.startswith(("cv", "spike", "stuck", "all"))]
+)
 def test_a_reading_is_of_the_true_gas_with_the_true_noise_of_its_step(name: str) -> None:
     gain = {"gain-halved": 0.5, "gain-doubled": 2.0}.get(name, 1.0)
     factor = {"noise-halved": 0.5, "noise-doubled": 2.0}.get(name, 1.0)
@@ -264,6 +266,37 @@ def test_a_fifth_of_the_readings_is_lost_but_not_the_first_and_what_is_then_take
     assert [lost.gas(PLACE, step) for step in range(50)] == [modelled.gas(PLACE, step) for step in range(50)]
 
 
+@pytest.mark.parametrize(("name", "count"), [("spike", 1), ("spikes-3", 3)])
+def test_spikes_are_among_the_first_30_readings_and_log_uniform_from_a_half_to_100(
+    name: str, count: int
+) -> None:
+    drawn = [named(name).errors(seed).spikes for seed in SEEDS]
+    assert all(len({number for number, _ in spikes}) == count for spikes in drawn)
+    numbers = np.array([number for spikes in drawn for number, _ in spikes])
+    assert set(numbers.tolist()) == set(range(30))
+    assert within(numbers, 14.5, math.sqrt((30**2 - 1) / 12))
+    sizes = np.log([size / 0.5 for spikes in drawn for _, size in spikes]) / math.log(200)
+    assert 0 <= sizes.min() < sizes.max() <= 1
+    assert within(sizes, 0.5, math.sqrt(1 / 12))
+    assert abs(np.corrcoef(numbers, sizes)[0, 1]) < 5 / math.sqrt(len(sizes))
+
+
+@pytest.mark.parametrize("sensor", [GAUSSIAN, Threshold(1.1), Hits()])
+def test_a_spike_is_added_to_its_reading_alone_and_shows_only_what_its_kind_can_say(sensor: Sensor) -> None:
+    for seed in range(300):
+        spiked, modelled = World(draw(seed), seed, sensor, "spikes-3"), World(draw(seed), seed, sensor)
+        amounts = dict(named("spikes-3").errors(seed).spikes)
+        for step in range(0, 31, 5):
+            gas, amount = modelled.gas(PLACE, step), amounts.get(step, 0.0)
+            shown = gas + amount
+            if isinstance(sensor, Hits):
+                shown = round(shown)
+            if isinstance(sensor, Threshold) and shown < sensor.threshold:
+                shown = 0.0
+            assert spiked.gas(PLACE, step) == pytest.approx(shown, rel=1e-6)
+            assert sensor.refusal(spiked.gas(PLACE, step), 100.0) is None
+
+
 def test_a_stuck_sensor_repeats_one_value_from_reading_10_on_wherever_it_is() -> None:
     world, modelled = World(draw(3), 3, name="stuck"), World(draw(3), 3)
     assert [world.gas(PLACE, step) for step in range(10)] == [modelled.gas(PLACE, step) for step in range(10)]
@@ -322,6 +355,6 @@ def test_the_page_on_worlds_lists_the_wrong_assumptions() -> None:
 def test_a_name_that_is_none_is_told_with_those_that_are() -> None:
     with pytest.raises(
         ValueError,
-        match=r"^no world 'wind-3'; wanted as-modelled, puffs, recorded, wind-10, wind-30, .*, stuck-noisy",
+        match=r"^no world 'wind-3'; wanted as-modelled, puffs, walls, recorded, wind-10, wind-30, .*, stuck-noisy",
     ):
         World(draw(1), 1, name="wind-3")

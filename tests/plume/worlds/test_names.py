@@ -41,7 +41,7 @@ def test_a_list_of_worlds_keeps_the_commas_of_parameters() -> None:
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("breeze", "no world 'breeze'; wanted as-modelled, puffs, recorded, wind-10, "),
+        ("breeze", "no world 'breeze'; wanted as-modelled, puffs, walls, recorded, wind-10, "),
         ("", "no world ''; wanted as-modelled, "),
         ("puffs+", "world 'puffs+' is not allowed: puffs and  are both a gas; wanted one"),
         ("puffs+puffs", "world 'puffs+puffs' is not allowed: puffs and puffs are both a gas; wanted one"),
@@ -66,4 +66,4 @@ def test_a_name_that_is_none_is_told_in_one_line(name: str, reason: str) -> None
 
 
 def test_the_list_shows_each_gas_with_its_parameters() -> None:
-    assert worlds()["puffs"].endswith(": puffs:share=0.2,rate=10,size=0.1,meander=0,gusts=0,wander=20")
+    assert worlds()["puffs"].endswith("; share=0.2, rate=10, size=0.1, meander=0, gusts=0, wander=20")

@@ -16,8 +16,7 @@ from agent.learn.env import SourceSearchVector
 from agent.trials.rollout import rollout
 from plume.dispersion import concentration
 from plume.randomness import keyed
-from plume.scenario import draw
-from plume.worlds.air import WorldError
+from plume.scenario import WorldError, draw
 from plume.worlds.names import named, worlds
 from plume.worlds.world import World
 from plumeward.evaluation import evaluate
@@ -112,8 +111,7 @@ def test_a_mission_over_the_bus_follows_a_plug_in_to_the_bit(pulses: Path) -> No
 
 def test_the_list_shows_a_plug_in(pulses: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert worlds()["pulsed"] == (
-        "a leak that opens and closes: the steady plume, part of the time: pulsed:period_s=20,share=0.5 "
-        "[plug-in]"
+        "a leak that opens and closes: the steady plume, part of the time; period_s=20, share=0.5 [plug-in]"
     )
 
 
@@ -126,13 +124,31 @@ def broken(scenario, seed):
 def strange(scenario, seed, *, gas: float = -1.0):
     """A world of negative gas."""
     return lambda places, times_s: (gas, (0.0, 0.0))
+
+
+def bare(scenario, seed, *, share):
+    """A world whose parameter has no default."""
+
+
+def raising(scenario, seed, *, share: float = 0.1):
+    """A world that cannot be made."""
+    raise KeyError("lost")
 '''
 
 
 def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    install(tmp_path, "badworlds", BAD, broken="broken", strange="strange", gone="gone")
+    install(
+        tmp_path,
+        "badworlds",
+        BAD,
+        broken="broken",
+        strange="strange",
+        gone="gone",
+        bare="bare",
+        raising="raising",
+    )
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(
         WorldError,
@@ -146,4 +162,28 @@ def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
         World(draw(1), 1, name="strange").gas((1.0, 2.0), 0)
     with pytest.raises(ValueError, match=r"^world gone of badworlds:gone does not load: AttributeError: "):
         named("gone")
+    with pytest.raises(
+        ValueError, match=r"^world bare: its parameter share has no default that is a number or"
+    ):
+        named("bare")
+    with pytest.raises(ValueError, match=r"^world 'raising' is not allowed: KeyError: 'lost'$"):
+        named("raising")
     assert worlds()["gone"].startswith("world gone of badworlds:gone does not load")
+
+
+def test_a_plug_in_that_fails_ends_a_mission_with_a_line(tmp_path: Path) -> None:
+    install(tmp_path, "badworlds", BAD, broken="broken")
+    fly = ["sitl", "fly", "--speedup", "0", "--no-record"]
+    for command, status in ((["agent", "rollout"], 1), (fly, 2)):
+        done = subprocess.run(
+            [sys.executable, "-m", *command, "--world", "broken"],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            timeout=400,
+        )
+        last = done.stderr.splitlines()[-1]
+        assert (done.returncode, "world broken failed: ZeroDivisionError: " in last) == (status, True), (
+            done.stderr
+        )

@@ -1,7 +1,10 @@
 """Protects keyed randomness and the world: a reading depends only on (seed, step, position)."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from plume.dispersion import concentration
 from plume.randomness import Keyed, derived_seed, keyed
@@ -89,3 +92,26 @@ def test_one_generator_set_from_place_to_place_draws_as_a_new_one_each() -> None
         drawn = one.at(*place)
         drawn.integers(7, dtype=np.uint32)  # leaves half a word buffered, which the next draw must not use
         assert one.at(*place).standard_normal(5).tolist() == keyed(*place).standard_normal(5).tolist()
+
+
+def test_a_source_that_was_drawn_inside_a_building_is_drawn_anew_and_one_that_is_given_is_refused(
+    tmp_path: Path,
+) -> None:
+    """The building covers the south of Table 1's square, up to y = 20 m: two thirds of it."""
+    file = tmp_path / "hall.yaml"
+    file.write_text("buildings: [{height: 12, footprint: [[9, 9], [26, 9], [26, 20], [9, 20]]}]\n")
+    name, moved = f"walls:file={file}", []
+    for seed in range(60):
+        world = World(draw(seed), seed, name=name)
+        assert world.scenario == draw(seed)
+        if draw(seed).source[1] > 20.0:
+            assert world.truth == draw(seed)
+        else:
+            assert 20.0 <= world.truth.source[1] <= 25.0
+            assert world.truth == replace(draw(seed), source=world.truth.source)
+            moved.append(world.truth.source)
+    assert 25 < len(moved) == len(set(moved))
+    with pytest.raises(
+        ValueError, match=r"^the source \(15, 15\) is inside a building; wanted one in the open$"
+    ):
+        World(replace(draw(3), source=(15.0, 15.0)), 3, name=name)

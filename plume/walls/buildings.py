@@ -1,0 +1,158 @@
+"""Buildings: prisms on the ground, read from a small YAML file in metres of the search plane."""
+
+import re
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from plume.elementary import Array
+
+ALTITUDE_M = 5.0  # height of the search plane above the ground, where a file does not say it
+MOST_BYTES = 100_000
+MOST_BUILDINGS, MOST_CORNERS, MOST_HEIGHTS = 50, 100, 8
+FARTHEST_M = 1000.0  # greatest coordinate
+WIDEST_M = 100.0  # the buildings together, west to east and south to north
+SHIPPED = Path(__file__).parent
+
+Corner = tuple[float, float]
+
+
+class Building(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A prism from the ground up."""
+
+    # Its corners in order, (x, y) m; the last is joined to the first.
+    footprint: Annotated[tuple[Corner, ...], Meta(min_length=3, max_length=MOST_CORNERS)]
+    height: float  # above the ground, m
+
+
+class Buildings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """All buildings, as a file has them."""
+
+    buildings: Annotated[tuple[Building, ...], Meta(max_length=MOST_BUILDINGS)] = ()
+    altitude: float = ALTITUDE_M  # of the search plane above the ground, m
+
+
+def read(file: str) -> Buildings:
+    """Return the buildings of a file, or of a shipped example by its name; none if the text is empty.
+
+    Raises ValueError: one line that names the file, what is wrong and what is allowed.
+    """
+    if not file:
+        return Buildings()
+    path = Path(file)
+    if re.fullmatch(r"[\w-]+", file) and not path.exists():
+        path = SHIPPED / f"{file}.yaml"
+        if not path.exists():
+            names = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.yaml")))
+            raise ValueError(f"no file of buildings {file!r}; wanted a path or one of {names}")
+    try:
+        with path.open("rb") as opened:
+            content = opened.read(MOST_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{file}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if len(content) > MOST_BYTES:
+        raise ValueError(f"{file}: more than {MOST_BYTES:,} bytes are not allowed")
+    try:
+        return parsed(content)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+
+
+@lru_cache(16)
+def parsed(content: bytes) -> Buildings:
+    """Return the buildings that the bytes of a file describe. Raises ValueError, a line without the file."""
+    try:
+        value = YAML(typ="safe", pure=True).load(content.decode())
+    except (YAMLError, ValueError, RecursionError, LookupError) as error:
+        what = getattr(error, "problem", None) or str(error).split("\n")[0]
+        mark = getattr(error, "problem_mark", None)
+        raise ValueError(f"{f'line {mark.line + 1}: ' if mark else ''}not valid YAML: {what}") from None
+    try:
+        found = msgspec.convert(value, Buildings)
+    except (msgspec.ValidationError, OverflowError) as error:
+        what, _, where = str(error).partition(" - at ")
+        where = where.strip("`$").lstrip(".") or "the file"
+        raise ValueError(
+            f"{where}: {what[:200]}; wanted `buildings`, a list of objects with `footprint: [[x, y], …]` "
+            "and `height`, and perhaps `altitude`"
+        ) from None
+    _check(found)
+    return found
+
+
+def _check(found: Buildings) -> None:
+    if not 0 < found.altitude <= FARTHEST_M:
+        raise ValueError(f"altitude is {found.altitude:g}; wanted metres above 0, at most {FARTHEST_M:g}")
+    for number, building in enumerate(found.buildings):
+        where = f"buildings[{number}]"
+        if not 0 < building.height <= FARTHEST_M:
+            raise ValueError(
+                f"{where}.height is {building.height:g}; wanted metres above 0, at most {FARTHEST_M:g}"
+            )
+        for corner in building.footprint:
+            if not all(abs(part) <= FARTHEST_M for part in corner):
+                raise ValueError(
+                    f"{where}.footprint has the corner {list(corner)}; wanted metres within ±{FARTHEST_M:g}"
+                )
+        if crossing := crosses_itself(outline(building)):
+            one, other = crossing
+            raise ValueError(
+                f"{where}.footprint crosses or touches itself: its sides {one + 1} and {other + 1} meet; "
+                "wanted the corners in order around it"
+            )
+    if len({building.height for building in found.buildings}) > MOST_HEIGHTS:
+        raise ValueError(f"more than {MOST_HEIGHTS} different heights are not allowed")
+    if found.buildings:
+        corners = np.vstack([outline(building) for building in found.buildings])
+        wide = (corners.max(axis=0) - corners.min(axis=0)).max()
+        if wide > WIDEST_M:
+            raise ValueError(f"the buildings extend over {wide:g} m; wanted {WIDEST_M:g} m at most")
+
+
+def outline(building: Building) -> Array:
+    """Return the corners (K, 2) of a footprint, each once: the first one may be repeated at the end."""
+    corners = building.footprint
+    return np.array(corners[:-1] if corners[0] == corners[-1] else corners, np.float64)
+
+
+def crosses_itself(corners: Array) -> tuple[int, int] | None:
+    """Return the numbers of two sides that meet other than at the corner between them; None if none do.
+
+    corners: (K, 2).  Side k goes from corner k to the next one.
+    """
+    count = len(corners)
+    ends = np.roll(corners, -1, axis=0)
+    if count < 3:
+        return 0, count - 1
+    for k in range(count):
+        if (corners[k] == ends[k]).all():
+            return k, (k + 1) % count
+        for other in range(k + 1, count):
+            if other in (k + 1, k + count - 1):  # neighbours: is one folded back over the other?
+                first, second = (k, other) if other == k + 1 else (other, k)
+                there, back = ends[first] - corners[first], ends[second] - corners[second]
+                if _cross(there, back) == 0 and (there * back).sum() < 0:
+                    return k, other
+            elif _meet(corners[k], ends[k], corners[other], ends[other]):
+                return k, other
+    return None
+
+
+def _cross(one: Array, other: Array) -> float:
+    return float(one[0] * other[1] - one[1] * other[0])
+
+
+def _meet(a: Array, b: Array, c: Array, d: Array) -> bool:
+    """Return whether the segments a–b and c–d share a point."""
+    if (np.maximum(a, b) < np.minimum(c, d)).any() or (np.maximum(c, d) < np.minimum(a, b)).any():
+        return False
+    ab, cd = b - a, d - c
+    return (
+        _cross(ab, c - a) * _cross(ab, d - a) <= 0 and _cross(cd, a - c) * _cross(cd, b - c) <= 0
+    )  # each segment's ends are not on one side of the other; in one line, the boxes have decided
