@@ -17,7 +17,7 @@ from plume.parameters import CLEAN, DECAY, FACTOR, POWER, RAY, RISE, SATURATION
 
 # Shares of a leg behind the vehicle in the middle of each of even parts of its time, where it speeds up on
 # the first half and slows down on the second, as on legs up to 8 m. The gas there stands for the part.
-LEG_SHARES = np.array([0.125, 0.875])
+LEG_SHARES = np.array([0.03125, 0.28125, 0.71875, 0.96875])
 # Nodes and weights of Gauss and Legendre between -1 and 1; the others are their mirror images.
 NODES = np.array([0.1834346424956498, 0.525532409916329, 0.7966664774136267, 0.9602898564975363])
 WEIGHTS = np.array([0.362683783378362, 0.3137066458778873, 0.22238103445337448, 0.10122853629037626])

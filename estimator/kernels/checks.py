@@ -168,7 +168,8 @@ def log_likelihood_of_one_value(readings: Array, sensor: Array, spikes: float) -
         changes = np.empty(len(readings))
         for t in range(len(readings)):
             kept = exp(-(readings[t, 10] + sensor[DWELL]) / max(sensor[RISE], sensor[DECAY]))
-            changes[t] = readings[t, 5] - kept * readings[t, 9]
+            saturated = is_saturated(readings[t, 5], sensor)  # which is no value to compare with others
+            changes[t] = readings[t, 5] - (0.0 if saturated else kept * readings[t, 9])
         result = max(result, _greatest(changes, sensor, spikes))
     return result
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from estimator.filter import Config, assimilate, prior
+from estimator.kernels.checks import log_likelihood_of_one_value
 from estimator.kernels.densities import log_likelihoods
 from link.bus.mavlink import Reading
 from plume.sensors.instruments import INSTRUMENTS, METHANE_PPM
-from plume.sensors.names import parse
+from plume.sensors.names import parse, sensor_row
 
 WIND = (1.5, -0.5)
 RATE, DIFFUSIVITY, LIFETIME = 250.0, 3.0, 10.0
@@ -97,6 +98,20 @@ def test_a_saturated_reading_has_the_probability_of_all_beyond() -> None:
     std = math.sqrt((0.1 * value) ** 2 + 0.2**2)
     beyond = 0.5 * math.erfc((limit - value) / std / math.sqrt(2))
     assert of_the_source("pid", (15.4, 12.0, limit)) == pytest.approx(math.log(beyond), abs=1e-3)
+
+
+def test_readings_at_saturation_are_no_value_that_a_faulty_sensor_repeats() -> None:
+    limit = float(np.float32(INSTRUMENTS["pid"].saturation))
+    gas = [0.3, 0.1, 0.7, 0.4, *[limit] * 12]
+    readings = np.array([(20.0, 12.0, 0.0, *WIND, value, 1.0, 20.0, 12.0, limit, 1.0) for value in gas])
+    readings[:4, 9] = 0.0, 0.3, 0.1, 0.7
+    kept = math.exp(-(1.0 + 2.0) / 1.3)
+    fits = []
+    for rest in (np.array(gas[:4]), np.array(gas[:4]) - kept * readings[:4, 9]):
+        normal = -4 * (math.log(rest.std()) + 0.5 * math.log(2 * math.pi) + 0.5)
+        fits.append(normal + 4 * math.log(4 / 16) + 12 * math.log(12 / 16))
+    found = log_likelihood_of_one_value(readings, sensor_row(INSTRUMENTS["pid"]), 0.0)
+    assert found == pytest.approx(max(fits), rel=1e-9)
 
 
 def test_the_filter_finds_the_posterior_of_a_grid_with_a_sensor_that_lags() -> None:

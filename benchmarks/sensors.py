@@ -1,0 +1,103 @@
+"""What a sensor in time costs: searches with each, by how long the vehicle hovers for a reading.
+
+    python -m benchmarks.sensors     # the table of docs/sensors.md
+
+Missions are flown in-process as `plumeward rollout` flies them, from the test seeds, under `field`, as
+modelled.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from multiprocessing import Pool
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from agent.trials.evaluate import FIRST_TEST_SEED
+from agent.trials.figures import wilson
+from agent.trials.rollout import mission
+from benchmarks.trust import BUDGET, DEFAULT, PARTICLES, table
+from estimator.criterion import USUAL_THRESHOLD_M
+from link import cli
+from link.files import whole
+from plume.flight import leg_s
+from plume.scenario import SUCCESS_RADIUS_M
+from plume.sensors.instruments import INSTRUMENTS
+from plume.sensors.names import GAUSSIAN, KINDS, parse, text
+
+PAGE = Path(__file__).parents[1] / "docs" / "sensors.md"
+BEGIN, END = "<!-- dwells -->\n", "<!-- end -->"
+MISSIONS = 300
+DWELLS_S = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0)
+
+
+class Search(NamedTuple):
+    """How a search ended."""
+
+    ceased: bool
+    located: bool
+    distance_m: float
+    time_s: float  # legs and hovers, by the vehicle's own motion
+
+
+def search(sensor: str, seed: int) -> Search:
+    """Fly one mission."""
+    flown = mission(seed, DEFAULT, PARTICLES, USUAL_THRESHOLD_M, BUDGET, sensor=parse(sensor), assume="field")
+    said = [step.belief for step in flown.steps]
+    places = np.array([it.position for it in said])
+    legs_m = np.sqrt(np.square(np.diff(places, axis=0)).sum(axis=1))
+    time_s = float(leg_s(places[:-1], places[1:]).sum()) + len(said) * parse(sensor).dwell
+    last = said[-1]
+    is_near = math.dist(last.mean, flown.scenario.source) <= SUCCESS_RADIUS_M
+    return Search(last.ceased, last.ceased and is_near, float(legs_m.sum()), time_s)
+
+
+def line(sensor: str, searches: Sequence[Search]) -> list[str]:
+    """Return a row of the table: what became of the searches with a sensor."""
+    count, ceased = len(searches), [it for it in searches if it.ceased]
+    located = sum(it.located for it in ceased)
+    return [
+        f"`{sensor}`",
+        f"{parse(sensor).dwell:g}",
+        f"{100 * len(ceased) / count:.1f}",
+        wilson(located, count).text(100.0, 1),
+        wilson(len(ceased) - located, count).text(100.0, 1),
+        f"{np.mean([it.distance_m for it in ceased]):.1f}" if ceased else "–",
+        f"{np.mean([it.time_s for it in ceased]):.0f}" if ceased else "–",
+    ]
+
+
+def chosen() -> list[str]:
+    """Return the sensors of the table: each with its usual dwell, and those that lag with others, too."""
+    names = [text(GAUSSIAN), *INSTRUMENTS]
+    for name, usual in INSTRUMENTS.items():
+        dwells = DWELLS_S if usual.rise else ()
+        names += [text(replace(KINDS[name], dwell=dwell)) for dwell in dwells if dwell != usual.dwell]
+    return sorted(names, key=lambda name: (name.partition(":")[0], parse(name).dwell))
+
+
+def main() -> None:
+    """Fly all searches and write the table."""
+    parser = cli.Parser(prog="python -m benchmarks.sensors", description="The table of docs/sensors.md.")
+    parser.add_argument(
+        "--missions", type=cli.whole(1, 100_000), default=MISSIONS, metavar="N", help="(default: %(default)s)"
+    )
+    parser.add_argument("--workers", type=cli.whole(1, 64), default=2, metavar="W", help="(default: 2)")
+    args = parser.parse_args()
+    seeds, lines = range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.missions), []
+    with Pool(args.workers) as pool:
+        for sensor in chosen():
+            lines.append(line(sensor, pool.starmap(search, [(sensor, seed) for seed in seeds])))
+            print(" ".join(lines[-1]), flush=True)
+    heads = ["sensor", "dwell, s", "ceased, %", "located, %", "false, %", "MTD, m", "time to the stop, s"]
+    before, begin, rest = PAGE.read_text().partition(BEGIN)
+    _, end, after = rest.partition(END)
+    with whole(PAGE) as partial:
+        partial.write_text(f"{before}{begin}\n{table(heads, lines)}\n{end}{after}")
+    print(PAGE)
+
+
+if __name__ == "__main__":
+    cli.run(main)
