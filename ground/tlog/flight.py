@@ -19,6 +19,7 @@ from link.cli import BadInput
 from link.record.record import Entry
 from plume.elementary import float32
 from plume.scenario import AREA_M
+from plume.worlds.exposure import Before
 from plume.worlds.world import World
 
 MARGIN_M = 2.0  # between the path and the edge of a search area that is fitted to it
@@ -216,6 +217,7 @@ def _readings(
     fits = bool(taken) and taken[0].sample.time_ms >= 0 and taken[-1].sample.time_ms < WRAP_MS
     first_ms = 0 if fits or not taken else taken[0].sample.time_ms
     readings: list[tuple[Reading, LoggedGas]] = []
+    before: Before | None = None  # the reading before, of a simulated plume
     for sample, (north, east, up), wind in taken:
         position = float32(east - corner[1]), float32(north - corner[0])
         if sample.time_ms - first_ms >= WRAP_MS:
@@ -226,7 +228,8 @@ def _readings(
             gas = sample.gas
             if plume:
                 at_s = (sample.time_ms - taken[0].sample.time_ms) / 1000.0
-                gas, wind = plume.measure(position, len(readings), at_s)
+                gas, wind = plume.measure(position, len(readings), at_s, before)
+                before = Before(position, at_s, gas)
             readings.append((Reading(sample.time_ms - first_ms, position, float32(up), wind, gas), sample))
     return readings
 

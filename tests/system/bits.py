@@ -35,6 +35,7 @@ from link.bus.messages import pack_particles
 from link.record.reader import read
 from plume.randomness import Keyed, keyed
 from plume.scenario import AS_MODELLED, draw
+from plume.sensors.instruments import INSTRUMENTS
 from plume.sensors.names import parse
 from plume.worlds.errors import WRONG
 from plume.worlds.world import World, readings_of
@@ -325,6 +326,8 @@ def checks() -> dict[str, Callable[[], str]]:
             flight, policy, "gaussian:0.3,0.2,1.0", "paper", "cv-1-correlated", 25
         )
         found[f"flight/{policy}-moving"] = partial(flight, policy, "gaussian", "field", MOVING, 25)
+    for kind in INSTRUMENTS:
+        found[f"flight/homing-{kind}"] = partial(flight, "homing", kind, "field", "spikes-3", 25)
     found["flight/unusual"] = unusual
     found |= {
         f"recovery/{assume}-{kind}": partial(recovery, assume, kind)

@@ -131,6 +131,9 @@ def test_options_reach_every_part(tmp_path: Path, in_process: Callable) -> None:
             ]
         ),
         full(["--prior", "z=fixed:4", "--prior", "d=gamma:3,1.5", "--stop-on", "d=1"]),
+        ["--sensor", "pid:warmup=7.5", "--world", "wind-noisy+readings-lost"],
+        full(["--sensor", "tgs2620", "--dwell", "3", "--world", "puffs"]),
+        full(["--sensor", "tdlas", "--dwell", "1", "--assume", "paper"]),
     ],
 )
 def test_sensors_and_unknowns_reach_every_part(

@@ -3,6 +3,7 @@ with the vehicle's wind.
 """
 
 import math
+from typing import Any
 
 import pytest
 
@@ -92,10 +93,10 @@ def test_where_the_world_fails_it_has_no_value_which_the_log_says_once(
     """As a recorded plume of which a later frame is broken."""
 
     class Broken(World):
-        def measure(self, position: Pair, step: int, time_s: float | None = None) -> tuple[float, Pair]:
+        def measure(self, position: Pair, step: int, *moment: Any) -> tuple[float, Pair]:
             if step > 1:
                 raise WorldError("world recorded failed: frame 9: cut off")
-            return super().measure(position, step, time_s)
+            return super().measure(position, step, *moment)
 
     log = Log("payload", "uav/1", Tally(), "info")
     measure, world = sensor_in(Broken(draw(SEED), SEED), log), World(draw(SEED), SEED)
