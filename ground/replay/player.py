@@ -23,6 +23,7 @@ from sitl.launch.processes import Ended, LogLine, Processes, raise_for, secure_w
 from sitl.launch.progress import Progress, pace
 
 ANSWER_TIMEOUT_S = 10.0  # longest wait for an answer, s of real time, or three times the longest recorded one
+RETURN_TIMEOUT_S = 60.0  # longest wait for a service that is gone: somebody may be starting it again
 SETTLE_S = 0.3  # wait for unexpected answers at the end, s of real time, or twice the longest answer time
 
 
@@ -146,6 +147,9 @@ class Player:
         """
         began = time.monotonic()
         self._listen(began + self._patience_s, for_answers=True)
+        if gone := sorted({SERVICES[kind] for _, kind in self._due} - self._present):
+            self._progress.say(f"waiting for {' and '.join(gone)} on {self._source.namespace}")
+            self._listen(time.monotonic() + RETURN_TIMEOUT_S, for_answers=True)
         if self._due and not self.difference:
             self._miss(min(self._due, key=verify.place))
         return time.monotonic() - began
@@ -160,7 +164,7 @@ class Player:
             why = " (it refuses readings that it has seen before: restart it)"
         self._progress.say(
             f"warning: no {kind} received for the reading at {time_ms / 1000:.2f} s within "
-            f"{self._patience_s:g} s{why}"
+            f"{time.monotonic() - self._published_at:.0f} s{why}"
         )
         self._compare(key, None)
         self._given_up |= {kind for _, kind in self._due}  # not waited for again until one arrives

@@ -10,6 +10,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -461,6 +462,28 @@ class TestOnAnotherBus:
         services_of(log, start, router)
         assert replay.ended() == 0, replay.err
         assert replay.out[-1].startswith("verified: ")
+
+    @pytest.mark.full
+    def test_a_service_that_stays_away_is_named(
+        self,
+        start,
+        router: str,
+        log: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        for wait in ("ANSWER_TIMEOUT_S", "RETURN_TIMEOUT_S"):
+            monkeypatch.setattr(f"ground.replay.player.{wait}", 1.0)
+        running = services_of(log, start, router)
+        with Stranger(router) as viewer, ThreadPoolExecutor() as pool:
+            beliefs = viewer.subscribe("belief")
+            pool.submit(lambda: beliefs.get(timeout=300) and running["estimator"].kill())
+            replay = ("replay", str(log), "--connect", router, "--speedup", "1", "--verify")
+            status, out, err = run_sitl(monkeypatch, capsys, *replay)
+        assert status == 1
+        assert "waiting for estimator on uav/1" in err
+        assert any(line.endswith(": the estimator is gone") for line in err)
+        assert any(line.endswith(", is none") for line in out)
 
     def test_listeners_get_what_the_vehicle_published_to_the_last_byte(
         self, start, router: str, log: Path
