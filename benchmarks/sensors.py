@@ -2,8 +2,8 @@
 
     python -m benchmarks.sensors     # the table of docs/sensors.md
 
-Missions are flown in-process as `plumeward rollout` flies them, from the test seeds, under `field`, as
-modelled.
+Missions are flown in-process as `plumeward rollout` flies them, from the test seeds, under `field`: as
+modelled, and in gas that moves.
 """
 
 import math
@@ -23,14 +23,14 @@ from estimator.criterion import USUAL_THRESHOLD_M
 from link import cli
 from link.files import whole
 from plume.flight import leg_s
-from plume.scenario import SUCCESS_RADIUS_M
+from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M
 from plume.sensors.instruments import INSTRUMENTS
-from plume.sensors.names import GAUSSIAN, KINDS, parse, text
+from plume.sensors.names import GAUSSIAN, lags, parse, text
 
 PAGE = Path(__file__).parents[1] / "docs" / "sensors.md"
 BEGIN, END = "<!-- dwells -->\n", "<!-- end -->"
 MISSIONS = 300
-DWELLS_S = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0)
+DWELLS_S = {AS_MODELLED: (0.0, 1.0, 2.0, 5.0, 10.0, 20.0), "puffs:share=0.2": (0.0, 2.0, 5.0)}
 
 
 class Search(NamedTuple):
@@ -54,12 +54,13 @@ def search(sensor: str, seed: int) -> Search:
     return Search(last.ceased, last.ceased and is_near, float(legs_m.sum()), time_s)
 
 
-def line(sensor: str, searches: Sequence[Search]) -> list[str]:
-    """Return a row of the table: what became of the searches with a sensor."""
+def line(world: str, sensor: str, searches: Sequence[Search]) -> list[str]:
+    """Return a row of the table: what became of the searches with a sensor in a world."""
     count, ceased = len(searches), [it for it in searches if it.ceased]
     located = sum(it.located for it in ceased)
     return [
-        f"`{sensor}`",
+        world,
+        f"`{sensor.partition(':')[0]}`",
         f"{parse(sensor).dwell:g}",
         f"{100 * len(ceased) / count:.1f}",
         wilson(located, count).text(100.0, 1),
@@ -69,13 +70,14 @@ def line(sensor: str, searches: Sequence[Search]) -> list[str]:
     ]
 
 
-def chosen() -> list[str]:
-    """Return the sensors of the table: each with its usual dwell, and those that lag with others, too."""
-    names = [text(GAUSSIAN), *INSTRUMENTS]
-    for name, usual in INSTRUMENTS.items():
-        dwells = DWELLS_S if usual.rise else ()
-        names += [text(replace(KINDS[name], dwell=dwell)) for dwell in dwells if dwell != usual.dwell]
-    return sorted(names, key=lambda name: (name.partition(":")[0], parse(name).dwell))
+def chosen() -> list[tuple[str, str]]:
+    """Return the worlds and sensors of the table: each with its usual dwell, most with others, too."""
+    cells = []
+    for world, dwells_s in DWELLS_S.items():
+        for usual in (GAUSSIAN, *INSTRUMENTS.values()):
+            of_this = {usual.dwell, *(dwells_s if lags(usual) or world != AS_MODELLED else ())}
+            cells += [(world, text(replace(usual, dwell=dwell_s))) for dwell_s in sorted(of_this)]
+    return cells
 
 
 def main() -> None:
@@ -88,10 +90,19 @@ def main() -> None:
     args = parser.parse_args()
     seeds, lines = range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.missions), []
     with Pool(args.workers) as pool:
-        for sensor in chosen():
-            lines.append(line(sensor, pool.starmap(search, [(sensor, seed) for seed in seeds])))
+        for cell in chosen():
+            lines.append(line(*cell, pool.starmap(search, [(*cell, seed) for seed in seeds])))
             print(" ".join(lines[-1]), flush=True)
-    heads = ["sensor", "dwell, s", "ceased, %", "located, %", "false, %", "MTD, m", "time to the stop, s"]
+    heads = [
+        "world",
+        "sensor",
+        "dwell, s",
+        "ceased, %",
+        "located, %",
+        "false, %",
+        "MTD, m",
+        "time to the stop, s",
+    ]
     before, begin, rest = PAGE.read_text().partition(BEGIN)
     _, end, after = rest.partition(END)
     with whole(PAGE) as partial:

@@ -86,6 +86,7 @@ INSTEAD = {
     "python benchmarks/floor.py --missions 200 --threshold 0.1 0.3 0.5 0.9 --convergence": "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
     "python -m benchmarks.trust --world wind-30 --policy homing": "python -m benchmarks.trust --world wind-30 --policy homing --assume paper --missions 1",
     "python -m benchmarks.puffs": "python -m benchmarks.puffs --missions 2",
+    "python -m benchmarks.sensors": "python -m benchmarks.sensors --missions 1",
     "python benchmarks/loop.py --secure": "python benchmarks/loop.py --secure --missions 1",
     "python -m benchmarks.soak": "python -m benchmarks.soak --steps 1000 || test $? = 1",  # too short to tell whether anything grows
     "python -m benchmarks.fleet": "python -m benchmarks.fleet --vehicles 1 --seconds 5",
