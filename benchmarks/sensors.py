@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from multiprocessing import Pool
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,9 +42,10 @@ class Search(NamedTuple):
     time_s: float  # legs and hovers, by the vehicle's own motion
 
 
-def search(sensor: str, seed: int) -> Search:
+def search(world: str, sensor: str, seed: int) -> Search:
     """Fly one mission."""
-    flown = mission(seed, DEFAULT, PARTICLES, USUAL_THRESHOLD_M, BUDGET, sensor=parse(sensor), assume="field")
+    known: dict[str, Any] = {"sensor": parse(sensor), "assume": "field"}
+    flown = mission(seed, DEFAULT, PARTICLES, USUAL_THRESHOLD_M, BUDGET, world=world, **known)
     said = [step.belief for step in flown.steps]
     places = np.array([it.position for it in said])
     legs_m = np.sqrt(np.square(np.diff(places, axis=0)).sum(axis=1))
