@@ -105,14 +105,16 @@ class Instrument(Gaussian):
         return 2.0 * SOURCE_RADIUS_M * float(log(ends + math.sqrt(ends * ends + 1.0)))
 
 
-def _metal_oxide(kind: str, rise: float, decay: float, air: float, factor: float, power: float) -> Instrument:
+def _metal_oxide(
+    kind: str, dwell: float, rise: float, decay: float, air: float, factor: float, power: float
+) -> Instrument:
     return Instrument(
         0.03,
         0.01,
         kind=kind,
         rise=rise,
         decay=decay,
-        dwell=5.0,
+        dwell=dwell,
         drift=0.02,
         air=air,
         factor=factor,
@@ -128,10 +130,10 @@ INSTRUMENTS: Mapping[str, Instrument] = MappingProxyType(
         "pid": Instrument(
             0.1, 0.2, rise=1.3, decay=1.3, dwell=2.0, drift=0.05, saturation=4000 * ISOBUTYLENE_PPM
         ),
-        "tgs2600": _metal_oxide("tgs2600", 4.8, 18.75, 1.0, 1.018, -0.07284),
-        "tgs2611": _metal_oxide("tgs2611", 3.44, 6.35, 8.8, 38.46, -0.4289),
-        "tgs2620": _metal_oxide("tgs2620", 2.96, 15.71, 21.0, 120.6, -0.4877),
+        "tgs2600": _metal_oxide("tgs2600", 5.0, 4.8, 18.75, 1.0, 1.018, -0.07284),
+        "tgs2611": _metal_oxide("tgs2611", 2.0, 3.44, 6.35, 8.8, 38.46, -0.4289),
+        "tgs2620": _metal_oxide("tgs2620", 5.0, 2.96, 15.71, 21.0, 120.6, -0.4877),
         # Answers in 0.1 s; up to 50,000 ppm·m of methane. 5 m is the usual flight height.
-        "tdlas": Instrument(0.1, 0.2, kind="tdlas", saturation=50_000 * METHANE_PPM, ray=5.0),
+        "tdlas": Instrument(0.1, 0.2, kind="tdlas", dwell=2.0, saturation=50_000 * METHANE_PPM, ray=5.0),
     }
 )

@@ -105,11 +105,11 @@ def test_the_promise_is_judged_over_all_worlds_of_the_assumption_and_no_others()
     # Wilson of 4 in 6 and 5 in 6, with z = 1.96. Errors of the stops: 0.1, 0.1, 0.5, 0.5, 1.5, 1.5; then 0.1,
     # three or four of 0.5, 1.5.
     assert lines == [
-        "| field | `spread:0.5` | 2 of 23 | 75.0 | about 98 | 66.7 [30.0, 90.3] | 66.7, wind-10 | 0.50 / "
+        "| field | `spread:0.5` | 2 of 24 | 75.0 | about 98 | 66.7 [30.0, 90.3] | 66.7, wind-10 | 0.50 / "
         "1.50 | 1.40 |",
-        "| field | `within:1,0.95` | 2 of 23 | 75.0 | 94.5 | 66.7 [30.0, 90.3] | 66.7, wind-10 | 0.50 / 1.50 "
+        "| field | `within:1,0.95` | 2 of 24 | 75.0 | 94.5 | 66.7 [30.0, 90.3] | 66.7, wind-10 | 0.50 / 1.50 "
         "| 1.40 |",
-        "| field | `within:1,0.99` | 2 of 23 | 75.0 | 98.5 | 83.3 [43.6, 97.0] | 66.7, wind-10 | 0.50 / 1.25 "
+        "| field | `within:1,0.99` | 2 of 24 | 75.0 | 98.5 | 83.3 [43.6, 97.0] | 66.7, wind-10 | 0.50 / 1.25 "
         "| 1.40 |",
     ]
 
