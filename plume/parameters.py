@@ -36,9 +36,10 @@ GAUSSIAN_KIND, THRESHOLD_KIND, HITS_KIND = 0.0, 1.0, 2.0
 KIND, SLOPE, FLOOR, THRESHOLD, MISSED = range(5)
 # Of an instrument: time constants of rise and decay, s, 0 if it follows at once; s that it hovers for a
 # reading; the greatest reading; RS/R0 = A c^B up to that of clean air, which is 0 if it reads the gas itself;
-# length of the ray that it looks along, m, 0 if it meets the gas where it is.
-RISE, DECAY, DWELL, SATURATION, CLEAN, FACTOR, POWER, RAY = range(5, 13)
-SENSOR_NUMBERS = 13
+# length of the ray that it looks along, m, 0 if it meets the gas where it is; the ray's direction, a unit
+# vector.
+RISE, DECAY, DWELL, SATURATION, CLEAN, FACTOR, POWER, RAY, EAST, NORTH, UP = range(5, 16)
+SENSOR_NUMBERS = 16
 GREATEST_CV = 3.0  # the strongest intermittency that the sensor model covers
 # Least and greatest value of a release's parameters that may be given: far beyond any leak, and no arithmetic
 # overflows between them.

@@ -13,7 +13,7 @@ from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
 from plume.kernels import DERIVED, derive, derived_means, is_location_only, location_means, wind_of
 from plume.numerics import exp, log
-from plume.parameters import CLEAN, DECAY, FACTOR, POWER, RAY, RISE, SATURATION
+from plume.parameters import CLEAN, DECAY, EAST, FACTOR, NORTH, POWER, RAY, RISE, SATURATION, UP
 
 # Shares of a leg behind the vehicle in the middle of each of even parts of its time, where it speeds up on
 # the first half and slows down on the second, as on legs up to 8 m. The gas there stands for the part.
@@ -45,31 +45,39 @@ def _inverse_sinh(x: float) -> float:
 
 
 @subroutine
-def column_means(derived: Array, count: int, reading: Array, priors: Array, ray: float, means: Array) -> None:
-    """Fill `means` (count,) with the gas along a ray down from the reading's place, times the gain, g/m².
+def ray_means(derived: Array, count: int, reading: Array, priors: Array, sensor: Array, means: Array) -> None:
+    """Fill `means` (count,) with the gas along a ray from the reading's place, times the gain, g/m².
 
-    Each is that of a column of `plume.kernels.derive`. ∫ exp(−r/λ)/r dz becomes smooth with z = ρ sinh t,
-    where ρ is the level distance of the source, at least its radius.
+    Each is that of a column of `plume.kernels.derive`. A place of the ray is t metres from the vehicle and r
+    from the source. ∫ exp(−r/λ)/r dt becomes smooth with t + b = ρ sinh s: b is how far the vehicle is
+    past the place nearest to the source, and ρ how near that is, at least the source's radius.
     """
     speed, cosine, sine = wind_of(reading, priors)
+    ray, east, north, up = sensor[RAY], sensor[EAST], sensor[NORTH], sensor[UP]
     for i in range(count):
         u = speed * derived[6, i]
         c = cosine * derived[7, i] - sine * derived[8, i]
         s = sine * derived[7, i] + cosine * derived[8, i]
         dx = reading[0] - derived[0, i]
         dy = reading[1] - derived[1, i]
-        top = reading[2] - derived[2, i]
-        away = max(math.sqrt(dx * dx + dy * dy), SOURCE_RADIUS_M)
-        low, high = _inverse_sinh((top - ray) / away), _inverse_sinh(top / away)
+        dz = reading[2] - derived[2, i]
+        past = dx * east + dy * north + dz * up
+        aside = math.sqrt(max(dx * dx + dy * dy + dz * dz - past * past, 0.0))
+        near = max(aside, SOURCE_RADIUS_M)
+        low, high = _inverse_sinh(past / near), _inverse_sinh((past + ray) / near)
         drift = u * derived[4, i]
-        scale = -0.5 * away * math.sqrt(derived[5, i] + drift * drift)
+        scale = -0.5 * near * math.sqrt(derived[5, i] + drift * drift)
+        along = drift * (east * c + north * s)  # by which the logarithm of the gas falls along the ray, 1/m
+        start = along * past - drift * (dx * c + dy * s)
+        along *= 0.5 * near
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         total = 0.0
         for node in range(len(NODES)):
             one, other = exp(middle + half * NODES[node]), exp(middle - half * NODES[node])
-            both = exp(scale * (one + 1 / one)) + exp(scale * (other + 1 / other))
-            total += WEIGHTS[node] * both
-        means[i] = derived[3, i] * half * total * exp(-drift * (dx * c + dy * s))
+            first = exp(start + scale * (one + 1 / one) - along * (one - 1 / one))
+            second = exp(start + scale * (other + 1 / other) - along * (other - 1 / other))
+            total += WEIGHTS[node] * (first + second)
+        means[i] = derived[3, i] * half * total
 
 
 @subroutine
@@ -118,7 +126,7 @@ def gas_means(
     if len(derived) == 0:
         location_means(particles, count, reading, priors, means)
     elif sensor[RAY] > 0:
-        column_means(derived, count, reading, priors, sensor[RAY], means)
+        ray_means(derived, count, reading, priors, sensor, means)
     else:
         derived_means(derived, count, reading, priors, means)
 

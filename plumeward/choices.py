@@ -18,7 +18,7 @@ SENSORS = {
     "tgs2600": "a metal oxide, resistance by that in clean air",
     "tgs2611": "a metal oxide, resistance by that in clean air",
     "tgs2620": "a metal oxide, resistance by that in clean air",
-    "tdlas": "an open path: the gas along a ray downwards, g/m²",
+    "tdlas": "an open path: the gas along a ray, g/m²",
 }
 
 

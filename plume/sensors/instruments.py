@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.elementary import Array, exp, log
+from plume.elementary import Array, direction, exp, log
 from plume.sensors.sensor import Gaussian, normal_cdf
 
 # At 20 °C and 1 atm a mole of any gas takes 24.055 litres, so 1 ppm of methane (16.04 g/mol) is so many g/m³,
@@ -42,12 +42,22 @@ class Instrument(Gaussian):
     air: float = field(default=0.0, kw_only=True)
     factor: float = field(default=1.0, kw_only=True)
     power: float = field(default=1.0, kw_only=True)
-    ray: float = field(default=0.0, kw_only=True)  # m down from the vehicle, of an open path; else 0
+    ray: float = field(default=0.0, kw_only=True)  # length of an open path from the vehicle on, m; else 0
+    # Where an open path looks, as a gimbal does: degrees above level, and clockwise from north.
+    pitch: float = field(default=-90.0, kw_only=True)
+    azimuth: float = field(default=0.0, kw_only=True)
 
     @property
     def factor_of_gas(self) -> float:
         """The factor of RS/R0 = factor · c^power with c in g/m³."""
         return self.factor * float(exp(-self.power * log(METHANE_PPM)))
+
+    @property
+    def aim(self) -> tuple[float, float, float]:
+        """The direction of its ray, a unit vector east, north, up."""
+        level, up = direction(self.pitch / 360.0)
+        north, east = direction(self.azimuth / 360.0)
+        return float(level * east), float(level * north), float(up)
 
     def settled(self, gas: ArrayLike) -> Array:
         """Return what it reads, without noise, after long in this gas (...), g/m³ or along its ray g/m²."""

@@ -13,6 +13,7 @@ from plume.parameters import (
     CLEAN,
     DECAY,
     DWELL,
+    EAST,
     FACTOR,
     FLOOR,
     GAUSSIAN_KIND,
@@ -21,6 +22,7 @@ from plume.parameters import (
     KIND,
     MISSED,
     MOST,
+    NORTH,
     POWER,
     RAY,
     RISE,
@@ -29,6 +31,7 @@ from plume.parameters import (
     SLOPE,
     THRESHOLD,
     THRESHOLD_KIND,
+    UP,
 )
 from plume.sensors.instruments import INSTRUMENTS, Instrument
 from plume.sensors.sensor import Gaussian, Hits, Threshold
@@ -54,6 +57,8 @@ LIMITS: Mapping[str, tuple[float, float]] = MappingProxyType(
         "rate": (0.1, 100.0),
         "power": (-10.0, -1e-3),
         "ray": (0.1, 1000.0),
+        "pitch": (-90.0, 90.0),
+        "azimuth": (-360.0, 360.0),
     }
 )
 OF_METAL_OXIDES = ("air", "factor", "power")
@@ -74,7 +79,7 @@ def numbers(sensor: Sensor) -> dict[str, float]:
     left_out = {"kind"}
     if isinstance(sensor, Instrument):
         left_out |= {"cv", "saturation"} if sensor.air else set(OF_METAL_OXIDES)
-        left_out |= set() if sensor.ray else {"ray"}
+        left_out |= set() if sensor.ray else {"ray", "pitch", "azimuth"}
     return {field.name: getattr(sensor, field.name) for field in fields(sensor) if field.name not in left_out}
 
 
@@ -160,5 +165,6 @@ def sensor_row(sensor: Sensor) -> Array:
     if isinstance(sensor, Instrument):
         result[[RISE, DECAY, DWELL]] = sensor.rise, sensor.decay, sensor.dwell
         result[SATURATION] = np.float32(sensor.saturation)  # as a reading is rounded
-        result[[CLEAN, FACTOR, POWER, RAY]] = sensor.air, sensor.factor_of_gas, sensor.power, sensor.ray
+        result[[CLEAN, FACTOR, POWER]] = sensor.air, sensor.factor_of_gas, sensor.power
+        result[[RAY, EAST, NORTH, UP]] = sensor.ray, *sensor.aim
     return result

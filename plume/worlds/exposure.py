@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.elementary import Array, exp, log
+from plume.elementary import Array
 from plume.flight import leg_s, travelled
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import Sensor, lags
 
 AVERAGE_HZ = 10.0  # samples a second that a sensor averages that has no rate of its own
 MOST_SAMPLES = 2000  # of a leg, or of a hover
-RAY_NODES = 64  # places along a ray: the nearer to the vehicle, the denser
+RAY_STEP_M = 0.5 * SOURCE_RADIUS_M  # between places along a ray
 
 Ask = Callable[[Array, Array], tuple[Array, Array]]  # the air of one mission, as `plume.worlds.air.Air`
 
@@ -91,24 +91,15 @@ def _spread(start_s: float, duration_s: float, rate: float) -> tuple[Array, Arra
 
 
 def _along_rays(air: Ask, sensor: Sensor, at: Array, times_s: Array) -> Array:
-    """Return the gas at places (M, 2) m, g/m³, or along rays down from them, g/m²: (M,)."""
-    length = sensor.ray if isinstance(sensor, Instrument) else 0.0
-    depths, steps = rays(length) if length else (np.zeros(1), np.ones(1))
-    places = np.empty((len(at), len(depths), 3))
+    """Return the gas at places (M, 2) m, g/m³, or along rays from them, g/m²: (M,)."""
+    away_m: Array = np.zeros(1)
+    part_m, aim = 1.0, np.zeros(3)
+    if isinstance(sensor, Instrument) and sensor.ray:
+        number = min(math.ceil(sensor.ray / RAY_STEP_M), MOST_SAMPLES)
+        part_m, aim = sensor.ray / number, np.array(sensor.aim)
+        away_m = (np.arange(number) + 0.5) * part_m
+    places = np.zeros((len(at), len(away_m), 3))
     places[:, :, :2] = at[:, None]
-    places[:, :, 2] = -depths
-    gas, _ = air(places.reshape(-1, 3), np.repeat(times_s, len(depths)))
-    return np.asarray((gas.reshape(places.shape[:2]) * steps).sum(axis=1))
-
-
-def rays(length: float) -> tuple[Array, Array]:
-    """Return depths below the vehicle (RAY_NODES,) m, and the lengths of ray that they stand for.
-
-    Gas falls as 1/r near its source, so the steps grow with the depth: z = a sinh t, t in even steps, where a
-    is the radius of a source.
-    """
-    ends = length / SOURCE_RADIUS_M
-    step = float(log(ends + math.sqrt(ends * ends + 1.0))) / RAY_NODES
-    grown = exp((np.arange(RAY_NODES) + 0.5) * step)
-    depths, slopes = 0.5 * (grown - 1 / grown), 0.5 * (grown + 1 / grown)
-    return np.asarray(SOURCE_RADIUS_M * depths), np.asarray(SOURCE_RADIUS_M * step * slopes)
+    places += away_m[:, None] * aim
+    gas, _ = air(places.reshape(-1, 3), np.repeat(times_s, len(away_m)))
+    return np.asarray(part_m * gas.reshape(places.shape[:2]).sum(axis=1))

@@ -83,13 +83,29 @@ def test_the_first_reading_follows_clean_air() -> None:
     assert of_the_source("pid", (17.0, 12.0, 1.0)) == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.parametrize("x", [15.3, 16.0, 20.0, 28.0])
-def test_an_open_path_sums_the_gas_below_the_vehicle(x: float) -> None:
+@pytest.mark.parametrize(
+    ("sensor", "aim", "length"),
+    [
+        ("tdlas", (0.0, 0.0, -1.0), 5.0),
+        ("tdlas:pitch=0,azimuth=270,ray=10", (-1.0, 0.0, 0.0), 10.0),
+        ("tdlas:pitch=-30,azimuth=240", (-0.75, -math.sqrt(3) / 4, -0.5), 5.0),
+    ],
+    ids=["down", "west", "slanting"],
+)
+@pytest.mark.parametrize("away", [(0.3, 0.4), (1.0, 0.8), (5.0, -2.0), (13.0, 4.0), (-6.0, 0.5)])
+def test_an_open_path_sums_the_gas_along_its_ray(
+    sensor: str, aim: tuple[float, float, float], length: float, away: tuple[float, float]
+) -> None:
     from scipy.integrate import quad
 
-    column = quad(lambda depth: spread(x - SOURCE[0], 0.0, depth), 0.0, 5.0)[0]
+    def met(along: float) -> float:
+        return spread(away[0] + along * aim[0], away[1] + along * aim[1], along * aim[2])
+
+    nearest = min(max(-away[0] * aim[0] - away[1] * aim[1], 0.0), length)
+    column = quad(met, 0.0, length, points=[nearest], limit=200)[0]
     expected = log_normal_density(1.1 * column, column, 0.1, 0.2)
-    assert of_the_source("tdlas", (x, 12.0, 1.1 * column)) == pytest.approx(expected, abs=5e-3)
+    place = (SOURCE[0] + away[0], SOURCE[1] + away[1])
+    assert of_the_source(sensor, (*place, 1.1 * column)) == pytest.approx(expected, abs=5e-3)
 
 
 def test_a_saturated_reading_has_the_probability_of_all_beyond() -> None:

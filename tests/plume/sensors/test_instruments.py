@@ -8,7 +8,7 @@ import pytest
 
 from plume.sensors.instruments import INSTRUMENTS, METHANE_PPM
 from plume.sensors.names import Sensor, parse, text
-from plume.worlds.exposure import rays
+from plume.worlds.exposure import met
 
 
 def after(sensor: str, start: float, gas: list[float], seconds: float) -> float:
@@ -53,19 +53,33 @@ def test_a_metal_oxide_never_reads_more_than_in_clean_air(sensor: str, air: floa
     assert INSTRUMENTS[sensor].settled([0.0, 1e-9]).tolist() == [air, air]
 
 
-@pytest.mark.parametrize("distance", [0.1, 0.5, 3.0, 20.0])
-def test_gas_is_summed_along_a_ray(distance: float) -> None:
+@pytest.mark.parametrize(
+    ("sensor", "aim", "length"),
+    [
+        ("tdlas", (0.0, 0.0, -1.0), 5.0),
+        ("tdlas:pitch=0,azimuth=90", (1.0, 0.0, 0.0), 5.0),
+        ("tdlas:pitch=-30,azimuth=60,ray=8", (0.75, math.sqrt(3) / 4, -0.5), 8.0),
+    ],
+    ids=["down", "east", "slanting"],
+)
+@pytest.mark.parametrize("away", [(-0.2, 0.0), (-3.0, 0.3), (-3.0, -2.0), (4.0, 4.0)])
+def test_gas_is_summed_along_a_ray(
+    sensor: str, aim: tuple[float, float, float], length: float, away: tuple[float, float]
+) -> None:
+    """The source is at the origin, the vehicle in its plane."""
     from scipy.integrate import quad
 
-    depths, lengths = rays(5.0)
+    def gas(along: float) -> float:
+        r = max(math.dist((*away, 0.0), [-along * part for part in aim]), 0.1)
+        return math.exp(-r / 4.0) / r
 
-    def gas(depth: float) -> float:
-        away = math.hypot(depth, distance)
-        return math.exp(-away / 4.0) / away
+    def air(places: np.ndarray, _times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        r = np.maximum(np.linalg.norm(places, axis=1), 0.1)
+        return np.exp(-r / 4.0) / r, np.zeros((len(r), 2))
 
-    summed = sum(length * gas(depth) for depth, length in zip(depths, lengths, strict=True))
-    assert summed == pytest.approx(quad(gas, 0.0, 5.0)[0], rel=1e-3)
-    assert lengths.sum() == pytest.approx(5.0, rel=1e-3)
+    summed = met(air, parse(sensor), 1.0, away, 30.0, None)
+    expected = quad(gas, 0.0, length, points=[length / 2, min(math.hypot(*away), length)], limit=200)[0]
+    assert summed == pytest.approx(expected, rel=5e-3)  # places half a source's radius apart
 
 
 def test_a_reading_at_saturation_has_the_probability_of_all_beyond() -> None:
@@ -96,7 +110,7 @@ def test_what_no_gas_can_make_it_read_is_refused() -> None:
     "said",
     [
         "pid",
-        "tdlas:ray=20.0",
+        "tdlas:ray=20.0,pitch=-45.0,azimuth=90.0",
         "tgs2620:dwell=10.0,drift=0.0",
         "gaussian:0.3,0.2,dwell=2.0",
         "hits:3.0,0.1,dwell=1.0",
