@@ -93,13 +93,13 @@ def _spread(start_s: float, duration_s: float, rate: float) -> tuple[Array, Arra
 def _along_rays(air: Ask, sensor: Sensor, at: Array, times_s: Array) -> Array:
     """Return the gas at places (M, 2) m, g/m³, or along rays from them, g/m²: (M,)."""
     away_m: Array = np.zeros(1)
-    part_m, aim = 1.0, np.zeros(3)
+    part_m, aim = 1.0, (0.0, 0.0, 0.0)
     if isinstance(sensor, Instrument) and sensor.ray:
         number = min(math.ceil(sensor.ray / RAY_STEP_M), MOST_SAMPLES)
-        part_m, aim = sensor.ray / number, np.array(sensor.aim)
+        part_m, aim = sensor.ray / number, sensor.aim
         away_m = (np.arange(number) + 0.5) * part_m
     places = np.zeros((len(at), len(away_m), 3))
     places[:, :, :2] = at[:, None]
-    places += away_m[:, None] * aim
+    places += away_m[:, None] * np.array(aim)
     gas, _ = air(places.reshape(-1, 3), np.repeat(times_s, len(away_m)))
     return np.asarray(part_m * gas.reshape(places.shape[:2]).sum(axis=1))
