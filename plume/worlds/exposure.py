@@ -97,7 +97,7 @@ def _along_rays(air: Ask, sensor: Sensor, at: Array, times_s: Array) -> Array:
     if isinstance(sensor, Instrument) and sensor.ray:
         number = min(math.ceil(sensor.ray / RAY_STEP_M), MOST_SAMPLES)
         part_m, aim = sensor.ray / number, sensor.aim
-        away_m = (np.arange(number) + 0.5) * part_m
+        away_m = np.asarray((np.arange(number) + 0.5) * part_m, np.float64)
     places = np.zeros((len(at), len(away_m), 3))
     places[:, :, :2] = at[:, None]
     places += away_m[:, None] * np.array(aim)
