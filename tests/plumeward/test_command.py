@@ -94,7 +94,7 @@ def test_what_there_is_to_choose_from_is_listed_by_name(
         assert f"about: {about}" in MISSIONS[name]
     assert {"homing", "infotaxis", "space-aware-infotaxis", "ppo", "dqn", "ddpg"} <= set(policies)
     kinds: list[Sensor] = [parse(text) for text in sensors]  # as --sensor takes them
-    assert kinds == [kind() for kind in KINDS.values()]
+    assert kinds == [*KINDS.values()]
     assert list(worlds) == ["as-modelled", "puffs", "walls", "recorded", *errors.WRONG]
     assert set(assumptions) == {"paper", "field"}
 

@@ -309,6 +309,7 @@ class TestAgent:
                 )
             )
         wait_until(lambda: json.loads(get(healths).payload.to_bytes())["ceased"])
+        wait_until(lambda: agent.says("the search has ceased"))
         said = [line for line in agent.err if "ceased" in line]
         assert len(said) == 1
         assert "the search has ceased at step 7: source at (23.50, 24.25) m, spread 0.45 m" in said[0]

