@@ -6,8 +6,9 @@ docs/planners.md compares it with the others.
 import numpy as np
 
 from agent.planning.moves import Reach
-from agent.planning.predict import cloud, entropy_spread, imagine, lengths
+from agent.planning.predict import Cloud, cloud, entropy_spread, imagine, lengths
 from link.bus.messages import Belief, Particles
+from plume.elementary import Array
 from plume.numerics import exp_each, log_each
 
 REACH = Reach(headings=8, measurements=100)
@@ -21,24 +22,36 @@ PROGRESS = 0.75
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the least D(p) + c · E[spread after a reading at p], p two steps ahead.
 
-    The spread S is `entropy_spread`. D(p) is E‖p − s‖, over the current belief: by the law of total
-    expectation, a reading does not change it on average. Where no move lessens the score by PROGRESS a metre,
-    D(p) is −S log E exp(−‖p − s‖/S) instead: the distance to the nearest part of the belief, and S more for
-    each factor e by which that part is improbable.
+    The spread S is `entropy_spread`; `scores` has D(p).
     """
     moves = reach.moves(belief.position)
     places = np.clip(belief.position + AHEAD * (moves - belief.position), 0.0, reach.area_m)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
-    distances = hypotheses.distances(places)  # (A, N)
     gains = imagine(belief, hypotheses, places, reach.measurements, rng).gains
     spread = entropy_spread(hypotheses, belief.spread)
     spreads = spread * exp_each(-gains / 2).mean(axis=1)
-    scores = hypotheses.mean(distances) + WEIGHT * spreads
-    here = hypotheses.mean(hypotheses.distances(np.array(belief.position))) + WEIGHT * spread
+    here = hypotheses.mean(hypotheses.distances(np.array(belief.position)))
     flown = lengths(places - belief.position)
-    if np.all(scores > here - PROGRESS * flown):
+    return int(np.argmin(scores(hypotheses, hypotheses.distances(places), here, spread, spreads, flown)))
+
+
+def scores(
+    hypotheses: Cloud, distances: Array, here: Array, spread: float, spreads: Array, flown: Array
+) -> Array:
+    """D(p) + c · E[spread after a reading at p] of places: (A,).
+
+    distances: (A, N) from each place to each hypothesis.  here: expected distance from the vehicle, as ().
+    spread: S now.  spreads: (A,) expected after a reading.  flown: (A,) from the vehicle to the place.
+
+    D(p) is E‖p − s‖, over the current belief: by the law of total expectation, a reading does not change it
+    on average. Where no place lessens the score by PROGRESS for each metre flown, D(p) is
+    −S log E exp(−‖p − s‖/S) instead: the distance to the nearest part of the belief, and S more for each
+    factor e by which that part is improbable.
+    """
+    result = hypotheses.mean(distances) + WEIGHT * spreads
+    if np.all(result > here + WEIGHT * spread - PROGRESS * flown):
         nearest = distances.min(axis=1, where=hypotheses.weights > 0, initial=np.inf)
         # Shares of e^(nearest/S), against underflow.
         shares = hypotheses.mean(exp_each(np.minimum(nearest[:, None] - distances, 0.0) / spread))
-        scores = nearest - spread * log_each(shares) + WEIGHT * spreads
-    return int(np.argmin(scores))
+        result = nearest - spread * log_each(shares) + WEIGHT * spreads
+    return result

@@ -5,6 +5,7 @@ import numpy as np
 from agent.planning.moves import Reach
 from agent.planning.predict import cloud, entropy_spread, imagine_along, lengths
 from link.bus.messages import Belief, Particles
+from plume.elementary import Array
 from plume.numerics import exp_each
 
 REACH = Reach(headings=8, measurements=50)
@@ -28,4 +29,9 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     distances = hypotheses.mean(hypotheses.distances(paths))  # (A, L)
     gains = imagine_along(belief, hypotheses, paths, reach.measurements, rng).gains
     spreads = entropy_spread(hypotheses, belief.spread) * exp_each(-gains / 2).mean(axis=2)
-    return int(np.argmin((flown + distances + WEIGHT * spreads).min(axis=1)))
+    return int(np.argmin(scores(flown, distances, spreads)))
+
+
+def scores(flown: Array, distances: Array, spreads: Array) -> Array:
+    """(A,): the least over a path's places of metres flown + E‖p − s‖ + c · E[spread]; all are (A, L)."""
+    return np.asarray((flown + distances + WEIGHT * spreads).min(axis=1))

@@ -5,6 +5,7 @@ import numpy as np
 from agent.planning.moves import Reach
 from agent.planning.predict import cloud, imagine, shares_of_cells
 from link.bus.messages import Belief, Particles
+from plume.elementary import Array
 from plume.numerics import exp_each, log_each
 
 # Side of the cells in which entropy is computed, m: Loisy and Eloy's world is a grid with a cell per step.
@@ -25,5 +26,9 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     shares = shares_of_cells(hypotheses, CELL_M)
     entropy = -np.sum(shares * log_each(shares))
     entropies = np.maximum(entropy - imagined.gains, 0.0)  # (A, K), nats
-    scores = log_each(imagined.expectations[:, :, 0] + (exp_each(entropies) - 1) / 2)
-    return int(np.argmin(scores.mean(axis=1)))
+    return int(np.argmin(cost(imagined.expectations[:, :, 0], entropies).mean(axis=1)))
+
+
+def cost(distances: Array, entropies: Array) -> Array:
+    """ln(D + (2^H − 1)/2) of beliefs with these expected distances, in cells, and entropies in nats."""
+    return log_each(distances + (exp_each(entropies) - 1) / 2)

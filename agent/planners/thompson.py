@@ -3,12 +3,17 @@
 import numpy as np
 
 from agent.planning.moves import Reach
-from agent.planning.predict import cloud, lengths
+from agent.planning.predict import Cloud, cloud, lengths
 from link.bus.messages import Belief, Particles
+from plume.elementary import Array
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move that ends closest to a source position drawn from the belief at each step (Thompson 1933)."""
-    hypotheses = cloud(belief, particles)
+    return towards(cloud(belief, particles), reach.moves(belief.position), rng)
+
+
+def towards(hypotheses: Cloud, moves: Array, rng: np.random.Generator) -> int:
+    """Of moves (A, 2), the one that ends closest to a place drawn from the belief."""
     target = hypotheses.places[:, rng.choice(len(hypotheses.weights), p=hypotheses.weights)]
-    return int(np.argmin(lengths(reach.moves(belief.position) - target)))
+    return int(np.argmin(lengths(moves - target)))

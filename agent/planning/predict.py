@@ -196,7 +196,11 @@ def entropy_spread(hypotheses: Cloud, spread: float) -> float:
     If half of a disc is ruled out, the entropy spread shrinks, while the spread itself need not.
     """
     cell = max(spread, SOURCE_RADIUS_M) / CELLS_A_SPREAD
-    shares = shares_of_cells(hypotheses, cell)
+    return spread_of_cells(shares_of_cells(hypotheses, cell), cell)
+
+
+def spread_of_cells(shares: Array, cell: float) -> float:
+    """Return `entropy_spread` of a belief with these shares (C,), all above 0, of cells with this side, m."""
     return float(cell * np.sqrt(exp_each(-np.sum(shares * log_each(shares))) / (np.pi * np.e)))
 
 
