@@ -1,14 +1,15 @@
-"""The olfactory search problem of the OTTO benchmark: a grid, a belief of the source's cell, and Poisson hits.
+"""The search problem of the OTTO benchmark: a grid, a belief of the source's cell, and Poisson hits.
 
 Loisy, Eloy 2022: Searching for a source without gradients, Proc. R. Soc. A 478 (the isotropic cases).
 Loisy, Heinonen 2023: Deep reinforcement learning for the olfactory search POMDP: a quantitative benchmark,
-Eur. Phys. J. E 46 (the windy cases). Lengths are in cells, one cell a step. All arithmetic is in a fixed order.
+Eur. Phys. J. E 46 (the windy cases). Lengths are in cells, one cell a step. Arithmetic is in a fixed order.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class Isotropic:
 
     def hits(self, x: Array, y: Array) -> Array:
         """Mean number of hits a step at (x, y) cells from the source."""
-        return self.rate * k0(np.sqrt(x * x + y * y) / self.length) / log(2 * self.length)
+        return np.asarray(self.rate * k0(np.sqrt(x * x + y * y) / self.length) / log(2 * self.length))
 
     def first_hits(self, number: int) -> Array:
         """Probability of each number of hits at the start, (H,): at least one, far from any edge.
@@ -184,8 +185,8 @@ class State:
 
 
 @subroutine
-def _window(table: Array, shape: tuple[int, int], x: int, y: int, into: Array) -> None:
-    """Copy to `into` (X Y,) the part of a table (2X − 1, 2Y − 1) that the grid has if the vehicle is at (x, y)."""
+def window(table: Array, shape: tuple[int, int], x: int, y: int, into: Array) -> None:
+    """Copy to `into` (X Y,) what a table (2X − 1, 2Y − 1) has for the grid with the vehicle at (x, y)."""
     wide, high = shape
     for i in range(wide):
         row = table[wide - 1 - x + i]
@@ -223,8 +224,8 @@ def _outcomes(
         for r in range(len(counted)):
             x, y = paths[a, counted[r]]
             for h in range(many):
-                _window(chances[h], (wide, high), x, y, seen[r, h])
-                _window(logs[h], (wide, high), x, y, log_seen[r, h])
+                window(chances[h], (wide, high), x, y, seen[r, h])
+                window(logs[h], (wide, high), x, y, log_seen[r, h])
         x, y = paths[a, length - 1]
         for i in range(wide):
             for j in range(high):
@@ -251,10 +252,10 @@ def _outcomes(
 
 
 @kernel("Tuple((float64, int64))(float64[:, ::1], float64[:, :, ::1], int64, int64, float64)")
-def _move(belief: Array, chances: Array, x: int, y: int, draw: float) -> tuple[float, int]:
+def advance(belief: Array, chances: Array, x: int, y: int, draw: float) -> tuple[float, int]:
     """Move to (x, y), draw hits by `draw` in [0, 1), and make `belief` the belief after them.
 
-    Returns the probability to find the source there, and the number of hits: −1 if the source is surely found.
+    Returns the probability to find the source there, and the number of hits: −1 if it is surely found.
     """
     (wide, high), many = belief.shape, len(chances)
     found = belief[x, y]
@@ -262,7 +263,7 @@ def _move(belief: Array, chances: Array, x: int, y: int, draw: float) -> tuple[f
     flat, seen, joint = belief.reshape(-1), np.empty(belief.size), np.empty((many, belief.size))
     totals = np.empty(many)
     for h in range(many):
-        _window(chances[h], (wide, high), x, y, seen)
+        window(chances[h], (wide, high), x, y, seen)
         for i in range(len(flat)):
             joint[h, i] = flat[i] * seen[i]
         totals[h] = total_of(joint[h])
@@ -278,11 +279,8 @@ def _move(belief: Array, chances: Array, x: int, y: int, draw: float) -> tuple[f
     return found, hits
 
 
-class Rule(Protocol):
-    """A planner on the grid."""
-
-    def __call__(self, state: State, moves: list[Cell], rng: np.random.Generator) -> int:
-        """Return the index of the chosen one of the cells that a step reaches."""
+# A planner on the grid: (state, cells that a step reaches, keyed random generator) -> index of the chosen one.
+Rule = Callable[[State, list[Cell], np.random.Generator], int]
 
 
 class Search(NamedTuple):
@@ -308,7 +306,7 @@ def search(case: Case, rule: Rule, seed: int) -> Search:
         moves = case.moves(path[-1])
         cell = moves[rule(State(case, path[-1], belief), moves, own)]
         expected += unfound
-        found, hits = _move(belief, case.chances, *cell, draws.random())
+        found, hits = advance(belief, case.chances, *cell, draws.random())
         unfound *= 1 - found
         path.append(cell)
         if unfound < FOUND_BELOW or hits < 0:
@@ -316,4 +314,3 @@ def search(case: Case, rule: Rule, seed: int) -> Search:
         returns = returns + 1 if len(path) > 2 and path[-3] == cell else 0
         if len(path) > case.most_steps or (case.back_and_forth and returns >= RETURNS):
             return Search(expected, len(path) - 1, True)
-

@@ -13,14 +13,15 @@ from agent.planners import homing as homing_planner
 from agent.planners import lookahead as lookahead_planner
 from agent.planners import space_aware_infotaxis, thompson
 from agent.planning.predict import Cloud, spread_of_cells
-from benchmarks.otto_grid import STEPS, Case, Cell, Rule, State
+from benchmarks.otto_grid import NEARLY, STEPS, Case, Cell, Rule, State
 from plume.elementary import Array, Indices
 from plume.numerics import exp_each
 
 
 def least(costs: Array, case: Case) -> int:
     """The first of the least costs (A,); costs closer than `case.ties` count as equal."""
-    return int(np.argmax(costs <= costs.min() + case.ties))
+    lowest = costs.min()
+    return int(np.argmax((costs == lowest) | (costs < lowest + case.ties)))
 
 
 @cache
@@ -64,9 +65,13 @@ def _cloud(state: State) -> Cloud:
 
 
 def infotaxis(state: State, _moves: list[Cell], _rng: np.random.Generator) -> int:
-    """The greatest expected information gain about the source's cell (Vergassola 2007)."""
+    """The greatest expected information gain about the source's cell (Vergassola 2007).
+
+    Where the source is sure to be tells nothing new, so a sure find counts a little more than nothing.
+    """
     outcomes = state.outcomes(_next(state.case, state.cell), (0,))
-    return least(-(outcomes.chance * outcomes.gain).sum(axis=1), state.case)
+    sure = 2 * NEARLY * (outcomes.chance[:, 0] > 1 - NEARLY)
+    return least(-(outcomes.chance * outcomes.gain).sum(axis=1) - sure, state.case)
 
 
 def space_aware(state: State, _moves: list[Cell], _rng: np.random.Generator) -> int:
@@ -106,7 +111,7 @@ def homing(state: State, _moves: list[Cell], _rng: np.random.Generator) -> int:
 
 
 def lookahead(state: State, _moves: list[Cell], _rng: np.random.Generator) -> int:
-    """`lookahead`: the first step of the best of eight headings, with hits counted two and four steps ahead."""
+    """`lookahead`: the first step of the best of eight headings, hits counted two and four steps ahead."""
     cloud, counted = _cloud(state), [int(steps) - 1 for steps in lookahead_planner.AHEAD]
     paths, firsts = _headings(state.case, state.cell, counted[-1] + 1)
     spread = spread_of_cells(cloud.weights[cloud.weights > 0], 1.0)
