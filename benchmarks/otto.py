@@ -30,7 +30,7 @@ FIGURES = ROOT / "results" / "otto" / "figures.csv"
 PAGE = ROOT / "docs" / "planners.md"
 BEGIN, END = "<!-- otto -->\n", "<!-- end -->"
 VALUE = "value policy"
-RUNS = {"isotropic-19x19": 6000, "isotropic-53x53": 1500, "windy-medium": 1500, "windy-low": 400}
+RUNS = {"isotropic-19x19": 6000, "isotropic-53x53": 1000, "windy-medium": 800, "windy-low": 200}
 
 
 class Row(NamedTuple):

@@ -65,7 +65,7 @@ class Windy:
 
     def first_hits(self, number: int) -> Array:
         """Probability of each number of hits at the start, (H,): a search begins with one hit."""
-        return np.eye(number)[1]
+        return np.asarray(np.eye(number)[1])
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,8 @@ def advance(belief: Array, chances: Array, x: int, y: int, draw: float) -> tuple
     return found, hits
 
 
-# A planner on the grid: (state, cells that a step reaches, keyed random generator) -> index of the chosen one.
+# A planner on the grid: (state, cells that a step reaches, keyed random generator) -> index of the chosen
+# cell.
 Rule = Callable[[State, list[Cell], np.random.Generator], int]
 
 

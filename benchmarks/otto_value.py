@@ -80,7 +80,7 @@ def _turned(i: int, j: int, symmetry: int) -> tuple[int, int]:
     "float64[:, ::1], float64[::1])",
     nogil=True,
 )
-def _value(
+def value_of(
     belief: Array,
     x: int,
     y: int,
@@ -161,7 +161,7 @@ def by_value(network: Layers) -> Rule:
             _after(state.belief, *cell, state.case.chances, chance, beliefs)
             costs.append(
                 sum(
-                    of * _value(belief, *cell, *network)
+                    of * value_of(belief, *cell, *network)
                     for of, belief in zip(chance.tolist(), beliefs, strict=True)
                     if of > 0.0
                 )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import otto
+from benchmarks import otto, otto_value
 from benchmarks.otto import BEGIN, FIGURES, PAGE, Row, page, read
 from benchmarks.otto_grid import (
     CASES,
@@ -26,6 +26,7 @@ from benchmarks.otto_grid import (
     search,
 )
 from benchmarks.otto_rules import RULES
+from benchmarks.otto_value import Layers, layers
 from plume.elementary import Array
 from plume.randomness import keyed
 
@@ -215,6 +216,83 @@ def test_an_endless_search_ends_at_the_limit() -> None:
     case = CASES["windy-low"]
     said = search(case, lambda state, moves, _rng: 0 if state.cell == case.start else 1, 0)
     assert (said.steps, said.stalled) == (10_000, True)
+
+
+def of_network(belief: Array, cell: Cell, network: Layers) -> float:
+    """The value of a belief in plain NumPy, the mean over the square's symmetries."""
+    wide = belief.shape[0]
+    grid = np.zeros((2 * wide - 1, 2 * wide - 1))
+    grid[wide - 1 - cell[0] : 2 * wide - 1 - cell[0], wide - 1 - cell[1] : 2 * wide - 1 - cell[1]] = np.sqrt(
+        belief
+    )
+    i, j = np.indices(belief.shape)
+    distance = float((belief * (abs(i - cell[0]) + abs(j - cell[1]))).sum())
+    some = belief[belief > 0]
+    entropy = -float(np.sum(some * np.log(some)))
+    said = []
+    for turned, mirror in product(range(4), (False, True)):
+        seen = np.rot90(grid.T if mirror else grid, turned)
+        row = np.concatenate([seen.ravel(), [distance / 10, entropy / 5, math.exp(entropy) / 100]])
+        one = np.maximum(row @ network.first + network.first_bias, 0)
+        two = np.maximum(one @ network.second + network.second_bias, 0)
+        said.append(float(np.logaddexp(0, two @ network.last[:, 0] + network.last_bias[0])))
+    return distance + sum(said) / 8
+
+
+def test_the_value_of_a_belief_is_that_of_the_network_in_plain_numpy() -> None:
+    case, network = CASES["isotropic-19x19"], layers()
+    belief = case.prior(1)
+    for cell in ((9, 8), (10, 8), (10, 9)):
+        advance(belief, case.chances, *cell, 0.3)
+        assert otto_value.value_of(belief, *cell, *network) == pytest.approx(
+            of_network(belief, cell, network)
+        )
+
+
+def test_the_value_policy_takes_the_move_after_which_the_least_is_left() -> None:
+    case, network = CASES["isotropic-19x19"], layers()
+    belief = case.prior(2)
+    advance(belief, case.chances, 9, 8, 0.9)
+    moves, left = case.moves((9, 8)), []
+    for x, y in moves:
+        unfound = belief.copy()
+        unfound[x, y] = 0
+        after = unfound * case.chances[:, 18 - x : 37 - x, 18 - y : 37 - y]
+        left.append(sum(of.sum() * of_network(of / of.sum(), (x, y), network) for of in after))
+    assert otto_value.value(State(case, (9, 8), belief), moves, keyed(0, "none")) == int(np.argmin(left))
+
+
+def test_training_writes_a_network_that_can_be_flown(tmp_path: Path) -> None:
+    [(iteration, loss)] = otto_value.train(3, tmp_path / "new" / "value.npz")
+    assert iteration == 3
+    assert math.isfinite(loss)
+    network = layers(tmp_path / "new" / "value.npz")
+    assert network.first.shape == (37 * 37 + 3, otto_value.UNITS)
+    rule, case = otto_value.by_value(network), CASES["isotropic-19x19"]
+    assert rule(State(case, case.start, case.prior(1)), case.moves(case.start), keyed(0, "none")) in range(4)
+
+
+def test_what_training_sees_of_a_step_is_what_the_belief_becomes() -> None:
+    """Inputs of the network after each move and number of hits, by Bayes' rule in plain NumPy."""
+    case = CASES["isotropic-19x19"]
+    searches = otto_value.Searches(case, 2, keyed(1, "test"))
+    searches.look()
+    belief = searches.beliefs[0].copy()
+    for action, (x, y) in enumerate(case.moves(case.start)):
+        unfound = belief.copy()
+        unfound[x, y] = 0
+        after = unfound * case.chances[:, 18 - x : 37 - x, 18 - y : 37 - y]
+        assert searches.found[0, action] == belief[x, y]
+        assert searches.chance[0, action] == pytest.approx(after.sum(axis=(1, 2)))
+        for hits in range(3):
+            grid = searches.inputs[0, action, hits, :-3].reshape(37, 37)[18 - x : 37 - x, 18 - y : 37 - y]
+            assert grid == pytest.approx(np.sqrt(after[hits] / after[hits].sum()), abs=1e-6)
+
+
+def test_the_network_that_is_kept_is_small_and_beats_infotaxis() -> None:
+    assert otto_value.WEIGHTS.stat().st_size < 300_000
+    rows = {row.planner: row for row in read(FIGURES) if row.case == "isotropic-19x19"}
+    assert rows[otto.VALUE].steps < rows["infotaxis"].steps
 
 
 def test_the_page_shows_the_rows_that_are_kept() -> None:
