@@ -135,6 +135,16 @@ def page(text: str, rows: Iterable[Row]) -> str:
     return f"{before}{begin}\n{shown(rows)}\n{end}{after}"
 
 
+def write(new: Row) -> None:
+    """Keep a row in place of the old one, and write the page's table."""
+    rows = {(row.case, row.planner): row for row in (*read(FIGURES), new)}
+    ordered = [rows[key] for case in CASES for planner in planners(case) if (key := (case, planner)) in rows]
+    text = page(PAGE.read_text(), ordered)
+    keep(ordered, FIGURES)
+    with whole(PAGE) as partial_file:
+        partial_file.write_text(text)
+
+
 def main() -> None:
     """Run the searches and write the table."""
     parser = cli.Parser(
@@ -152,19 +162,13 @@ def main() -> None:
     )
     parser.add_argument("--workers", type=cli.whole(1, 64), default=2, metavar="W", help="(default: 2)")
     args = parser.parse_args()
-    rows = {(row.case, row.planner): row for row in read(FIGURES)}
     with get_context("spawn").Pool(args.workers) as pool:
         for case in args.cases:
             seeds = range(FIRST_TEST_SEED, FIRST_TEST_SEED + (args.runs or RUNS[case]))
             for planner in planners(case):
                 searches = pool.map(partial(searched, case, planner), seeds, chunksize=10)
-                rows[case, planner] = row(case, planner, searches)
-                print(case, planner, cell(rows[case, planner]), flush=True)
-    ordered = [rows[key] for case in CASES for planner in planners(case) if (key := (case, planner)) in rows]
-    text = page(PAGE.read_text(), ordered)
-    keep(ordered, FIGURES)
-    with whole(PAGE) as partial_file:
-        partial_file.write_text(text)
+                write(row(case, planner, searches))
+                print(case, planner, cell(row(case, planner, searches)), flush=True)
     print(PAGE)
 
 

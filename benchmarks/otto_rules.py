@@ -84,9 +84,10 @@ def space_aware(state: State, _moves: list[Cell], _rng: np.random.Generator) -> 
     return least((outcomes.chance[:, 1:] * costs).sum(axis=1), state.case)
 
 
-def _distances(places: Array, cloud: Cloud) -> Array:
-    """(..., N): the flight on the grid, the Manhattan distance, from places (..., 2)."""
-    return np.asarray(np.abs(places[..., None] - cloud.places).sum(axis=-2))
+def _distances(places: Array, shape: Cell) -> Array:
+    """(..., X Y): the flight on the grid, the Manhattan distance, from places (..., 2) to the cells."""
+    x, y = (np.abs(places[..., axis, None] - np.arange(shape[axis])) for axis in (0, 1))
+    return np.asarray((x[..., None] + y[..., None, :]).reshape(*places.shape[:-1], -1))
 
 
 def _spreads(state: State, spread: float, paths: Indices, counted: tuple[int, ...]) -> Array:
@@ -105,7 +106,12 @@ def homing(state: State, _moves: list[Cell], _rng: np.random.Generator) -> int:
     here, places = np.array(state.cell, np.float64), paths[:, -1].astype(np.float64)
     flown = np.abs(places - here).sum(axis=1)
     costs = homing_planner.scores(
-        cloud, _distances(places, cloud), cloud.mean(_distances(here, cloud)), spread, spreads, flown
+        cloud,
+        _distances(places, state.case.shape),
+        cloud.mean(_distances(here, state.case.shape)),
+        spread,
+        spreads,
+        flown,
     )
     return int(firsts[least(costs, state.case)])
 
@@ -121,7 +127,7 @@ def lookahead(state: State, _moves: list[Cell], _rng: np.random.Generator) -> in
     ]
     places = paths[:, counted].astype(np.float64)
     flown = np.abs(places - np.array(state.cell)).sum(axis=-1)
-    distances = cloud.mean(_distances(places, cloud))
+    distances = cloud.mean(_distances(places, state.case.shape))
     costs = lookahead_planner.scores(flown, distances, np.stack(spreads, axis=1))
     return int(firsts[least(costs, state.case)])
 
