@@ -1,6 +1,6 @@
 """A value function on the OTTO benchmark: the expected steps to the source, learned, and its planner.
 
-    python -m benchmarks.otto_value      # about 20 minutes on one core; results/otto/value.npz
+    python -m benchmarks.otto_value      # 14 minutes of one core; results/otto/value.npz
 
 Loisy and Eloy 2022 train such a network and take the move with the least expected value after it. Ours is for
 isotropic-19x19 alone. V = D + softplus(network). D is the expected Manhattan distance: no search is shorter.
