@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from estimator.priors import Fixed, LogNormal, Normal, Prior
+from estimator.priors import Fixed, LogNormal, Normal, Prior, Uniform
 from plume.parameters import PARAMETERS
 from plume.sensors.names import Sensor, fluctuates
 from plume.sensors.sensor import Hits
@@ -31,6 +31,8 @@ NOISE_SIGMA = 0.5
 # Half-normal: open plumes have been measured with fluctuations of half to twice their mean, less where a
 # sensor averages; steady gas stays the most likely value.
 CV_STD = 1.2
+PUFF_RATE, PUFF_RATE_SIGMA = 100.0, 2.0
+PUFF_SHARES = (0.02, 1.0)
 
 # Share of the readings that say nothing of the source, by assumption. A twentieth is one or two false ones
 # in a search. With a smaller share a few count as gusts of a thin plume, and the search follows them; with a
@@ -70,6 +72,8 @@ def effective_priors(
             priors["noise"] = LogNormal(1.0, NOISE_SIGMA)
         if fluctuates(sensor):
             priors["cv"] = Normal(0.0, CV_STD)
+            priors["puff-rate"] = LogNormal(PUFF_RATE, PUFF_RATE_SIGMA)
+            priors["puff-share"] = Uniform(*PUFF_SHARES)
     for absolute, relative in REPLACED.items():
         if absolute in given:
             priors.pop(relative, None)

@@ -12,8 +12,8 @@ from plume.randomness import standard_gamma, standard_normal
 
 SMALLEST = 1e-6  # lower bound of a positive parameter under every prior, so that it stays above 0
 MOST_DRAWS = 10_000  # most draws of a value until one is within its support
-POSITIVE = ("q", "d", "tau", "wind-speed", "gain", "noise")
-NOT_NEGATIVE = ("q", "u", "d", "tau", "wind-speed", "gain", "noise", "cv")
+POSITIVE = ("q", "d", "tau", "wind-speed", "gain", "noise", "puff-rate", "puff-share")
+NOT_NEGATIVE = ("q", "u", "d", "tau", "wind-speed", "gain", "noise", "cv", "puff-rate", "puff-share")
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
 
 
 def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float) -> Array:
-    """Return the priors as the kernels take them, (13, 5): kind, two numbers, ends of the support.
+    """Return the priors as the kernels take them, (15, 5): kind, two numbers, ends of the support.
 
     The numbers of LOGNORMAL are log median and sigma. A parameter in neither `priors` nor `known` (u, φ) is
     measured.
