@@ -29,8 +29,11 @@ LIFETIME_SIGMA = 0.7
 # Two thirds within a factor of 1.65: sensors age, and data sheets quote noise in still, dry air.
 NOISE_SIGMA = 0.5
 # Half-normal: open plumes have been measured with fluctuations of half to twice their mean, less where a
-# sensor averages; steady gas stays the most likely value.
+# sensor averages; steady gas stays the most likely value. It is that of gas that comes and goes alike
+# everywhere; puffs come and go more the nearer the source is.
 CV_STD = 1.2
+# Puffs a second: two thirds within a factor of 7.4. Many are steady gas. Few make blanks and bursts, and so
+# does a small share of the diffusivity that widens a puff, of which hardly anything is known.
 PUFF_RATE, PUFF_RATE_SIGMA = 100.0, 2.0
 PUFF_SHARES = (0.02, 1.0)
 
@@ -95,11 +98,12 @@ def _check(given: Mapping[str, Prior], sensor: Sensor) -> None:
             "a prior of noise is not allowed with the hits sensor, whose noise is Poisson's; wanted gaussian "
             "or threshold"
         )
-    if "cv" in given and not fluctuates(sensor):
-        raise ValueError(
-            "a prior of cv is not allowed with this sensor, for which intermittency is not modelled; wanted "
-            "gaussian, pid or tdlas"
-        )
+    for name in ("cv", "puff-rate", "puff-share"):
+        if name in given and not fluctuates(sensor):
+            raise ValueError(
+                f"a prior of {name} is not allowed with this sensor, for which intermittency is not "
+                "modelled; wanted gaussian, pid or tdlas"
+            )
 
 
 def unknowns(priors: Mapping[str, Prior]) -> tuple[str, ...]:

@@ -5,9 +5,9 @@ variation cv; the noise v is normal, with the variance σ². docs/physics.md say
 
 With t = z/σ, μ = m/σ and λ = μ/cv² the density of z is √(λ/2π) ∫ c^(−3/2) exp(−λ (c − μ)²/(2 μ² c) −
 (t − c)²/2) dc / (σ √(2π)). The exponent has one maximum, at c*, the positive root of c³ + w c² = λ/2 with
-w = λ/(2μ²) − t. With ρ = λ/c*³, Laplace's method there gives the density √(ρ/(1 + ρ)) e^(exponent) / (σ √(2π)).
-It leaves out the gas that piles up near 0, which adds √(1/(1 + ρ)) e^(−c*²/2) to the first factor, and
-one that hardly varies. That depends on c* and ρ alone, and is kept in a table.
+w = λ/(2μ²) − t. With ρ = λ/c*³, Laplace's method there gives the density √(ρ/(1 + ρ)) e^(exponent) / (σ
+√(2π)). It leaves out the gas that piles up near 0: √((ρ + e^(−c*²))/(1 + ρ)) has it, but for a factor that hardly
+varies. That depends on c* and ρ alone, and is kept in a table.
 """
 
 import math
@@ -22,37 +22,55 @@ from plume.numerics import HALF_LOG_2PI, ROUNDER, ROUNDER_BITS, bits_of, erfc, e
 SMALLEST_CV = 0.01  # least intermittency: a hundredth of the mean is far below every noise
 GREATEST = 30.0  # greatest coefficient of variation of the gas at a place
 SMALLEST_MEAN = 1e-6  # least mean, in standard deviations of the noise
-# Cells of the table over c*/(1 + c*) and over the fourth root of ρ/(1 + ρ).
-MODE_CELLS, RATIO_CELLS = 64, 64
-FAR = 40.0  # modes beyond which Laplace's method is exact
-NEWTON = 3  # steps to the mode, from a place that is at most a sixth of it away
+# The table is over log₂ c*² and log₂ ρ, as `_binary_logarithm` has them: from the lowest, in cells of a
+# fraction.
+LOW_SQUARE, SQUARE_CELLS, SQUARE_FRACTION = -6.0, 136, 8.0
+LOW_RATIO, RATIO_CELLS, RATIO_FRACTION = -30.0, 88, 2.0
+HALLEY = 2  # steps to the mode, from a place that is at most a fifth of it away
 # The distribution function sums over concentrations: of BODY shares of 5% each, and of TAIL shares, each half
 # of what is left. They are tabled over cv/(1 + cv) in CV_CELLS cells.
 BODY, TAIL, CV_CELLS = 18, 12, 60
 ONE_BY_ROOT_2PI = 1 / math.sqrt(2 * math.pi)
-# Of the cube root: 2^52 and its bits, and what is added to a third of the upper half of a number's bits.
-WHOLE, WHOLE_BITS, CUBE_ROOT = 4503599627370496.0, 0x4330000000000000, 715_094_163.0
+WHOLE, WHOLE_BITS = 4503599627370496.0, 0x4330000000000000  # 2^52 and its bits
+# The upper half of the bits of a number is nearly 2^20 (1023 + its binary logarithm). What is added to a multiple
+# of that is tuned for the least error of the power.
+OF_ONE, CUBE_ROOT, INVERSE_CUBE_ROOT, INVERSE_ROOT = (
+    1_072_693_248.0,
+    715_094_163.0,
+    1_430_188_326.0,
+    1_608_969_040.0,
+)
 
 
 @partial(subroutine, forceinline=True)
-def _cube_root(x: float) -> float:
-    """The cube root of a positive number, to 4%: a third of its logarithm, as its bits approximate it."""
-    high = float_of((bits_of(x) >> 32) | WHOLE_BITS) - WHOLE
-    third = fma(high, 1 / 3, CUBE_ROOT) + ROUNDER
-    return float_of((bits_of(third) - ROUNDER_BITS) << 32)
+def _upper_half(x: float) -> float:
+    """The upper half of the bits of a positive number, as a number."""
+    return float_of((bits_of(x) >> 32) | WHOLE_BITS) - WHOLE
+
+
+@partial(subroutine, forceinline=True)
+def _binary_logarithm(x: float) -> float:
+    """log₂ x to 0.09: exact for powers of 2, and linear between them."""
+    return (_upper_half(x) - OF_ONE) * 2.0**-20
+
+
+@partial(subroutine, forceinline=True)
+def _power(x: float, exponent: float, added: float) -> float:
+    """A power of a positive number, to some percent: a multiple of its logarithm, as its bits have it."""
+    return float_of((bits_of(fma(_upper_half(x), exponent, added) + ROUNDER) - ROUNDER_BITS) << 32)
 
 
 @partial(subroutine, forceinline=True)
 def _mode(scale: float, offset: float) -> float:
-    """Return the positive root s of s² (s + offset) = scale > 0, by Newton's method."""
-    unit = _cube_root(scale)
-    v = offset / unit
-    positive = max(v, 0.0)
-    above = 1 / math.sqrt(positive + 1 / math.sqrt(positive + 1))
-    below = 0.5 * (math.sqrt(v * v + 4) - v)
-    s = unit * (above if v > 0 else below)
-    for _ in range(NEWTON):
-        s -= (s * s * (s + offset) - scale) / (s * (3 * s + 2 * offset))
+    """Return the positive root s of f(s) = s² (s + offset) − scale, scale > 0, by Halley's method."""
+    v = offset * _power(scale, -1 / 3, INVERSE_CUBE_ROOT)
+    positive, square = max(v, 0.0), v * v + 4
+    above = _power(positive + _power(positive + 1, -0.5, INVERSE_ROOT), -0.5, INVERSE_ROOT)
+    below = 0.5 * (square * _power(square, -0.5, INVERSE_ROOT) - v)
+    s = _power(scale, 1 / 3, CUBE_ROOT) * (above if v > 0 else below)
+    for _ in range(HALLEY):
+        f, slope, bend = s * s * (s + offset) - scale, s * (3 * s + 2 * offset), 6 * s + 2 * offset
+        s -= 2 * f * slope / (2 * slope * slope - f * bend)
     return s
 
 
@@ -75,24 +93,25 @@ def _log_integral(lam: float, w: float, mode: float) -> float:
     return top + log(total * step)
 
 
+@subroutine
+def _binary_power(x: float) -> float:
+    """Return the inverse of `_binary_logarithm`."""
+    whole = math.floor(x)
+    return (1 + x - whole) * 2.0**whole
+
+
 @kernel("float64[:, ::1]()")
 def _corrections() -> Array:
-    """The table (MODE_CELLS + 1, RATIO_CELLS + 1): the factor that Laplace's method leaves out."""
-    result = np.ones((MODE_CELLS + 1, RATIO_CELLS + 1))
-    for row in range(MODE_CELLS + 1):
-        x = min(max(row / MODE_CELLS, 1e-4), 1 - 1e-4)
-        c = x / (1 - x)
+    """The table (SQUARE_CELLS + 1, RATIO_CELLS + 1): the factor that is left out, 1 at great modes."""
+    result = np.ones((SQUARE_CELLS + 1, RATIO_CELLS + 1))
+    for row in range(SQUARE_CELLS):
+        c = math.sqrt(_binary_power(LOW_SQUARE + row / SQUARE_FRACTION))
         for column in range(RATIO_CELLS + 1):
-            root = min(max(column / RATIO_CELLS, 1e-3), 1 - 1e-4)
-            share = root * root * root * root
-            ratio = share / (1 - share)
-            lam = ratio * c * c * c
-            w = 0.5 * ratio * c - c
-            if c < FAR:
-                at_mode = -1.5 * log(c) - lam / (2 * c) - w * c - 0.5 * c * c - HALF_LOG_2PI
-                near_0 = math.sqrt(share + (1 - share) * exp(-c * c))
-                exact = _log_integral(lam, w, c) + 0.5 * log(ratio)
-                result[row, column] = exp(exact - at_mode - 2 * HALF_LOG_2PI) / near_0
+            ratio = _binary_power(LOW_RATIO + column / RATIO_FRACTION)
+            lam, w = ratio * c * c * c, 0.5 * ratio * c - c
+            at_mode = -1.5 * log(c) - lam / (2 * c) - w * c - 0.5 * c * c + HALF_LOG_2PI
+            near_0 = math.sqrt((ratio + exp(-c * c)) / (ratio * (1 + ratio)))
+            result[row, column] = exp(_log_integral(lam, w, c) - at_mode) / near_0
     return result
 
 
@@ -100,31 +119,38 @@ CORRECTIONS = _corrections()
 
 
 @partial(subroutine, forceinline=True)
-def _parts(gas: float, mean: float, variance: float, square: float) -> tuple[float, float]:
-    """Return (a, b) of a density b e^a. square: of the coefficient of variation."""
-    square = min(max(square, SMALLEST_CV * SMALLEST_CV), GREATEST * GREATEST)
-    inverse = 1 / math.sqrt(variance)
-    t = gas * inverse
-    mu = max(mean * inverse, SMALLEST_MEAN)
-    scale = 0.5 / (square * mu * mu)
-    s = _mode(scale, scale - t / mu)
-    c = s * mu
-    ratio = 2 * scale / (s * s * s)  # ρ
-    share = ratio / (1 + ratio)
-    x = c / (1 + c) * MODE_CELLS
-    row = min(int(x), MODE_CELLS - 1)
+def _correction(square: float, ratio: float) -> float:
+    x = (_binary_logarithm(square) - LOW_SQUARE) * SQUARE_FRACTION
+    y = (_binary_logarithm(ratio) - LOW_RATIO) * RATIO_FRACTION
+    x, y = min(max(x, 0.0), float(SQUARE_CELLS)), min(max(y, 0.0), float(RATIO_CELLS))
+    row, column = min(int(x), SQUARE_CELLS - 1), min(int(y), RATIO_CELLS - 1)
     x -= row
-    y = math.sqrt(math.sqrt(share)) * RATIO_CELLS
-    column = min(int(y), RATIO_CELLS - 1)
     y -= column
     low = CORRECTIONS[row, column] + y * (CORRECTIONS[row, column + 1] - CORRECTIONS[row, column])
     high = CORRECTIONS[row + 1, column] + y * (
         CORRECTIONS[row + 1, column + 1] - CORRECTIONS[row + 1, column]
     )
-    to_mean, to_gas = 1 - s, t - c
-    exponent = -0.5 * (ratio * c * c * to_mean * to_mean + to_gas * to_gas)
-    near_0 = math.sqrt(share + (1 - share) * exp(-c * c))
-    return exponent, ONE_BY_ROOT_2PI * inverse * near_0 * (low + x * (high - low))
+    return low + x * (high - low)
+
+
+@partial(subroutine, forceinline=True)
+def _parts(gas: float, mean: float, variance: float, square: float) -> tuple[float, float]:
+    """Return (a, b) of a density b e^a. square: of the coefficient of variation."""
+    square = min(max(square, SMALLEST_CV * SMALLEST_CV), GREATEST * GREATEST)
+    mean = max(mean, SMALLEST_MEAN * math.sqrt(variance))
+    inverse = 1 / (square * mean)
+    by_mean = square * inverse
+    scale = 0.5 * variance * inverse * by_mean
+    s = _mode(scale, scale - gas * by_mean)
+    ratio = 2 * scale / (s * s * s)  # ρ
+    by_both = 1 / ((1 + ratio) * variance)
+    by_variance = (1 + ratio) * by_both
+    at_mode = s * mean
+    squared = at_mode * at_mode * by_variance  # c*²
+    to_mean, to_gas = 1 - s, gas - at_mode
+    exponent = -0.5 * (ratio * squared * to_mean * to_mean + to_gas * to_gas * by_variance)
+    near_0 = math.sqrt((ratio + exp(-squared)) * by_both)
+    return exponent, ONE_BY_ROOT_2PI * near_0 * _correction(squared, ratio)
 
 
 @partial(subroutine, forceinline=True)

@@ -9,6 +9,7 @@ from agent.planning import kernels
 from link.bus.messages import Belief, Particles
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array
+from plume.intermittency import SMALLEST_CV
 from plume.numerics import exp_each, log_each
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import standard_gamma
@@ -183,7 +184,7 @@ def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Genera
     factors, cvs = noises
     gas = None
     if cvs.any():
-        shapes = 1 / np.square(np.maximum(cvs, 0.01))
+        shapes = 1 / np.square(np.maximum(cvs, SMALLEST_CV))
         gas = means * standard_gamma(rng, shapes, len(shapes)) / shapes
     return sensor.measure(means, rng, gas, factors)
 

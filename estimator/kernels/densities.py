@@ -11,9 +11,9 @@ from estimator.kernels.spikes import spike_density
 from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
-from plume.intermittency import density, exceeding
+from plume.intermittency import ONE_BY_ROOT_2PI, density, exceeding
 from plume.kernels import (
-    CVS,
+    BLANKS,
     DERIVED,
     NOISES,
     derive,
@@ -24,13 +24,11 @@ from plume.kernels import (
 )
 from plume.numerics import HALF_LOG_2PI, erfc, exp, log, log1p, log_gamma
 from plume.parameters import (
-    BLANK,
     CLEAN,
     DWELL,
     GAMMA,
     GAUSSIAN_KIND,
     HITS_KIND,
-    KNOWN,
     LOGNORMAL,
     NORMAL,
     RAY,
@@ -73,23 +71,22 @@ def is_saturated(gas: float, sensor: Array) -> bool:
 
 @partial(subroutine, forceinline=True)
 def parts_of_gas(
-    mean: float, fresh: float, noise: float, even: float, square: float, slope: float, floor: float
-) -> tuple[float, float, float, float, float]:
-    """Return what a reading is made of, in intermittent gas.
+    mean: float, fresh: float, noise: float, blank: float, square: float, slope: float, floor: float
+) -> tuple[float, float, float, float]:
+    """Return what a reading is made of in intermittent gas, as `plume.sensors.sensor.fluctuating` does.
 
-    It is blank with the probability b: no fresh gas, and normal noise of a variance. Else there is gas of a
-    mean and a squared cv, its noise with it, and normal noise of another variance. These are the five numbers.
-    noise: the square of its factor.  even, square: of the cv that the gas has everywhere, and of all its cv.
+    They are the variance of the noise of a blank, the mean and the squared cv of the gas where there is some,
+    its noise with it, and the variance of the noise that does not go with it.
+    noise: the square of its factor.  blank: the probability of a blank.  square: of the cv of all the gas.
     slope, floor: α² and β².
     """
     slope, floor = noise * slope, noise * floor
-    blank = BLANK * even / (1 + even)
     of_gas = (1 - blank) * (1 + square) - 1
     gas = fresh / (1 - blank)
     older = mean - fresh
     steady = slope / max(slope + of_gas, 1e-300)
     with_gas = slope * (older * older + 2 * older * gas + steady * gas * gas) + floor
-    return blank, slope * mean * mean + floor, gas, of_gas * (1 + slope + steady), with_gas
+    return slope * mean * mean + floor, gas, of_gas * (1 + slope + steady), with_gas
 
 
 @partial(subroutine, forceinline=True)
@@ -98,15 +95,15 @@ def gas_density(
     mean: float,
     fresh: float,
     noise: float,
-    even: float,
+    blank: float,
     square: float,
     slope: float,
     floor: float,
 ) -> float:
     """Density of a reading in intermittent gas, of which `parts_of_gas` says what it is made of."""
-    blank, without, there, of_gas, with_gas = parts_of_gas(mean, fresh, noise, even, square, slope, floor)
-    residual = gas - (mean - fresh)
-    nothing = exp(-0.5 * residual * residual / without) / math.sqrt(2 * math.pi * without)
+    without, there, of_gas, with_gas = parts_of_gas(mean, fresh, noise, blank, square, slope, floor)
+    residual, precision = gas - (mean - fresh), 1 / without
+    nothing = ONE_BY_ROOT_2PI * math.sqrt(precision) * exp(-0.5 * residual * residual * precision)
     return blank * nothing + (1 - blank) * density(residual, there, with_gas, of_gas)
 
 
@@ -137,7 +134,7 @@ def log_densities(
         slope, floor = model.sensor[1] * model.sensor[1], model.sensor[2] * model.sensor[2]
         for i in range(count):
             here = gas_density(
-                gas, means[i], fresh[i], derived[NOISES, i], derived[CVS, i], squares[i], slope, floor
+                gas, means[i], fresh[i], derived[NOISES, i], derived[BLANKS, i], squares[i], slope, floor
             )
             result[i] = log(kept * here + spike)
     else:
@@ -174,8 +171,9 @@ def _without_spikes(
         for i in range(count):
             noise = derived[NOISES, i] if len(derived) else 1.0
             if is_intermittent(model.priors):
-                blank, without, there, of_gas, with_gas = parts_of_gas(
-                    means[i], fresh[i], noise, derived[CVS, i], squares[i], slope, floor
+                blank = derived[BLANKS, i]
+                without, there, of_gas, with_gas = parts_of_gas(
+                    means[i], fresh[i], noise, blank, squares[i], slope, floor
                 )
                 far = sensor[SATURATION] - (means[i] - fresh[i])
                 beyond = blank * normal_cdf(-far / math.sqrt(without))
@@ -187,7 +185,7 @@ def _without_spikes(
     elif not plain and is_intermittent(model.priors):
         for i in range(count):
             here = gas_density(
-                gas, means[i], fresh[i], derived[NOISES, i], derived[CVS, i], squares[i], slope, floor
+                gas, means[i], fresh[i], derived[NOISES, i], derived[BLANKS, i], squares[i], slope, floor
             )
             result[i] = log(max(here, 1e-300))
     elif kind == THRESHOLD_KIND and gas == 0.0:

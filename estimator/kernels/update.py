@@ -75,7 +75,7 @@ def update(sample: WeightedSample, readings: Array, model: Model, seed: int, swe
     """
     count, step = sample.particles.shape[1], len(readings) - 1
     reading, derived = readings[step], derived_of(count, model)
-    means, fresh, squares, log_densities = np.empty((4, count))
+    means, fresh, squares, log_densities = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     rank, exponent = 0.5, 0.0
     for stage in range(MAX_STAGES):
         if len(derived):
