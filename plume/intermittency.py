@@ -6,8 +6,8 @@ variation cv; the noise v is normal, with the variance σ². docs/physics.md say
 With t = z/σ, μ = m/σ and λ = μ/cv² the density of z is √(λ/2π) ∫ c^(−3/2) exp(−λ (c − μ)²/(2 μ² c) −
 (t − c)²/2) dc / (σ √(2π)). The exponent has one maximum, at c*, the positive root of c³ + w c² = λ/2 with
 w = λ/(2μ²) − t. With ρ = λ/c*³, Laplace's method there gives the density √(ρ/(1 + ρ)) e^(exponent) / (σ
-√(2π)). It leaves out the gas that piles up near 0: √((ρ + e^(−c*²))/(1 + ρ)) has it, but for a factor that hardly
-varies. That depends on c* and ρ alone, and is kept in a table.
+√(2π)). It leaves out the gas that piles up near 0: √((ρ + e^(−c*²))/(1 + ρ)) has it, but for a factor that
+hardly varies. That depends on c* and ρ alone, and is kept in a table.
 """
 
 import math
@@ -32,14 +32,10 @@ HALLEY = 2  # steps to the mode, from a place that is at most a fifth of it away
 BODY, TAIL, CV_CELLS = 18, 12, 60
 ONE_BY_ROOT_2PI = 1 / math.sqrt(2 * math.pi)
 WHOLE, WHOLE_BITS = 4503599627370496.0, 0x4330000000000000  # 2^52 and its bits
-# The upper half of the bits of a number is nearly 2^20 (1023 + its binary logarithm). What is added to a multiple
-# of that is tuned for the least error of the power.
-OF_ONE, CUBE_ROOT, INVERSE_CUBE_ROOT, INVERSE_ROOT = (
-    1_072_693_248.0,
-    715_094_163.0,
-    1_430_188_326.0,
-    1_608_969_040.0,
-)
+# The upper half of the bits of a number is nearly 2^20 (1023 + its binary logarithm). What is added to a
+# multiple of that is tuned for the least error of the power.
+OF_ONE, CUBE_ROOT, INVERSE_CUBE_ROOT = 1_072_693_248.0, 715_093_163.0, 1_430_188_326.0
+INVERSE_ROOT = 1_608_969_040.0
 
 
 @partial(subroutine, forceinline=True)

@@ -27,7 +27,8 @@ def normal_cdf(value: ArrayLike) -> Array:
 class Fluctuating(NamedTuple):
     """What a reading in intermittent gas is made of, for gas of a mean and a coefficient of variation cv.
 
-    It is blank with a probability. Else there is gas, distributed as the inverse Gaussian law, with normal noise.
+    It is blank with a probability. Else there is gas, distributed as the inverse Gaussian law, with normal
+    noise.
     """
 
     blank: float  # the probability that it is: noise of the mean's strength, and no gas
@@ -78,8 +79,8 @@ class Gaussian:
 
     sensor_noise: float = 0.3  # α: standard deviation as a share of the concentration
     environment_noise: float = 0.2  # β: standard deviation in clean air, g/m³; above 0
-    # Intermittency: coefficient of variation of the gas, up to GREATEST_CV; 0 is steady gas. A reading is then
-    # as `fluctuating` says, independent from reading to reading.
+    # Intermittency: coefficient of variation of the gas, up to GREATEST_CV; 0 is steady gas. A reading is
+    # then as `fluctuating` says, independent from reading to reading.
     cv: float = 0.0
     dwell: float = field(
         default=0.0, kw_only=True
