@@ -32,7 +32,7 @@ from link import cli
 from link.files import whole
 from plume.scenario import AS_MODELLED
 from plume.worlds.errors import WRONG
-from plume.worlds.names import check
+from plume.worlds.names import check, separate
 
 ROOT = Path(__file__).parents[1]
 MOVING = (
@@ -301,14 +301,14 @@ def main() -> int:
         help="missions in each world (default: %(default)s)",
     )
     several = (
-        ("--assume", cli.checked(_is_assumption), HOLDS),
-        ("--world", cli.checked(check, WORLDS), WORLDS),
-        ("--policy", cli.checked(policy), (DEFAULT, LEARNED)),
+        ("--assume", cli.listed(cli.checked(_is_assumption)), HOLDS),
+        ("--world", cli.listed(cli.checked(check, WORLDS), separate), WORLDS),
+        ("--policy", cli.listed(cli.checked(policy)), (DEFAULT, LEARNED)),
     )
     for flag, kind, usual in several:
         parser.add_argument(
             flag,
-            type=cli.listed(kind),
+            type=kind,
             default=list(usual),
             metavar="NAME,NAME",
             help=f"(default: {', '.join(usual)})",
