@@ -126,7 +126,7 @@ def _correction(square: float, ratio: float) -> float:
     high = CORRECTIONS[row + 1, column] + y * (
         CORRECTIONS[row + 1, column + 1] - CORRECTIONS[row + 1, column]
     )
-    return low + x * (high - low)
+    return float(low + x * (high - low))
 
 
 @partial(subroutine, forceinline=True)

@@ -4,7 +4,7 @@ Plain IEEE arithmetic in a fixed order, exp included: results are bit-identical 
 any number of threads.
 
 particles: (D, N), one row per unknown.  unknowns: (D,) indices into `PARAMETERS`.
-priors: (13, 2 or more), one row per parameter: its kind and, if that is KNOWN, its value.
+priors: (15, 2 or more), one row per parameter: its kind and, if that is KNOWN, its value.
 readings: (T, 5 or more) rows of x, y, height (same origin as z), wind_x, wind_y.
 """
 

@@ -68,7 +68,7 @@ def standard_gamma(rng: np.random.Generator, shape: Array | float, size: int) ->
     return rng.standard_gamma(shape, size).astype(np.float32).astype(np.float64)
 
 
-def inverse_gaussian(square: float, rng: "Draws", size: tuple[int, ...]) -> Array:
+def inverse_gaussian(square: float | Array, rng: "Draws", size: tuple[int, ...]) -> Array:
     """Draw inverse Gaussian variables of mean 1 and this squared coefficient of variation.
 
     As Michael, Schucany and Haas 1976: the smaller root of a quadratic, or the inverse of it.

@@ -54,7 +54,7 @@ class Model(NamedTuple):
     """What the filter assumes, as kernels take it."""
 
     unknowns: Indices  # (D,) indices into `plume.parameters.PARAMETERS`
-    priors: Array  # (13, 5): kind, two numbers, and the support's ends of each parameter
+    priors: Array  # (15, 5): kind, two numbers, and the support's ends of each parameter
     sensor: Array  # (SENSOR_NUMBERS,): kind and numbers
     spikes: Array  # (1,): share of the readings that say nothing of the source
 

@@ -33,11 +33,11 @@ class Fluctuating(NamedTuple):
 
     blank: float  # the probability that it is: noise of the mean's strength, and no gas
     mean: Array  # of the gas where there is some
-    square: float  # of the coefficient of variation of that gas, with the noise that goes with it
+    square: float | Array  # of the coefficient of variation of that gas, with the noise that goes with it
     std: Array  # of the noise that does not
 
 
-def fluctuating(mean: Array, cv: float, slope: float, floor: float) -> Fluctuating:
+def fluctuating(mean: Array, cv: float, slope: float | Array, floor: float | Array) -> Fluctuating:
     """Return what a reading is made of where the gas has this mean. slope, floor: α and β of the noise."""
     blank = BLANK * cv * cv / (1 + cv * cv)
     square = (1 - blank) * (1 + cv * cv) - 1
