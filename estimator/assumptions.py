@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from estimator.priors import Fixed, LogNormal, Normal, Prior
+from estimator.priors import Fixed, LogNormal, Normal, Prior, Uniform
 from plume.parameters import PARAMETERS
 from plume.sensors.names import Sensor, fluctuates
 from plume.sensors.sensor import Hits
@@ -29,8 +29,13 @@ LIFETIME_SIGMA = 0.7
 # Two thirds within a factor of 1.65: sensors age, and data sheets quote noise in still, dry air.
 NOISE_SIGMA = 0.5
 # Half-normal: open plumes have been measured with fluctuations of half to twice their mean, less where a
-# sensor averages; steady gas stays the most likely value.
+# sensor averages; steady gas stays the most likely value. It is that of gas that comes and goes alike
+# everywhere; puffs come and go more the nearer the source is.
 CV_STD = 1.2
+# Puffs a second: two thirds within a factor of 7.4. Many are steady gas. Few make blanks and bursts, and so
+# does a small share of the diffusivity that widens a puff, of which hardly anything is known.
+PUFF_RATE, PUFF_RATE_SIGMA = 100.0, 2.0
+PUFF_SHARES = (0.02, 1.0)
 
 # Share of the readings that say nothing of the source, by assumption. A twentieth is one or two false ones
 # in a search. With a smaller share a few count as gusts of a thin plume, and the search follows them; with a
@@ -70,6 +75,8 @@ def effective_priors(
             priors["noise"] = LogNormal(1.0, NOISE_SIGMA)
         if fluctuates(sensor):
             priors["cv"] = Normal(0.0, CV_STD)
+            priors["puff-rate"] = LogNormal(PUFF_RATE, PUFF_RATE_SIGMA)
+            priors["puff-share"] = Uniform(*PUFF_SHARES)
     for absolute, relative in REPLACED.items():
         if absolute in given:
             priors.pop(relative, None)
@@ -91,11 +98,12 @@ def _check(given: Mapping[str, Prior], sensor: Sensor) -> None:
             "a prior of noise is not allowed with the hits sensor, whose noise is Poisson's; wanted gaussian "
             "or threshold"
         )
-    if "cv" in given and not fluctuates(sensor):
-        raise ValueError(
-            "a prior of cv is not allowed with this sensor, for which intermittency is not modelled; wanted "
-            "gaussian, pid or tdlas"
-        )
+    for name in ("cv", "puff-rate", "puff-share"):
+        if name in given and not fluctuates(sensor):
+            raise ValueError(
+                f"a prior of {name} is not allowed with this sensor, for which intermittency is not "
+                "modelled; wanted gaussian, pid or tdlas"
+            )
 
 
 def unknowns(priors: Mapping[str, Prior]) -> tuple[str, ...]:

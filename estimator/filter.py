@@ -3,6 +3,7 @@
 Each reading is assimilated by reweighting, and where needed resampling and moving.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,7 +18,7 @@ from estimator.priors import Prior, Uniform, draw, table
 from link.bus.mavlink import Reading
 from plume.elementary import Array, Indices
 from plume.flight import leg_s
-from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS
+from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS, PUFF_RATE
 from plume.randomness import keyed
 from plume.scenario import AREA_M, LIFETIME_S
 from plume.sensors.instruments import Instrument
@@ -96,7 +97,7 @@ class Config:
 
     @cached_property
     def prior_rows(self) -> Array:
-        """(13, 5): the priors as the kernels take them."""
+        """(15, 5): the priors as the kernels take them."""
         everywhere = Uniform(0.0, self.area_m)
         cv = self.sensor.cv if isinstance(self.sensor, Gaussian) else 0.0
         known = {"q": self.rate, "d": self.diffusivity, "tau": self.lifetime, "z": 0.0, **NEUTRAL, "cv": cv}
@@ -130,8 +131,8 @@ class Config:
     @property
     def intermittent(self) -> bool:
         """True if the gas is not taken to be steady: as the kernels' `is_intermittent`, not compiled."""
-        kind, value = self.prior_rows[CV, :2].tolist()
-        return bool(kind != KNOWN or value != 0)
+        even = self.prior_rows[CV, :2].tolist() == [KNOWN, 0.0]
+        return not (even and self.prior_rows[PUFF_RATE, :2].tolist() == [KNOWN, math.inf])
 
     @property
     def sweeps(self) -> int:

@@ -12,8 +12,9 @@ from plume.randomness import standard_gamma, standard_normal
 
 SMALLEST = 1e-6  # lower bound of a positive parameter under every prior, so that it stays above 0
 MOST_DRAWS = 10_000  # most draws of a value until one is within its support
-POSITIVE = ("q", "d", "tau", "wind-speed", "gain", "noise")
-NOT_NEGATIVE = ("q", "u", "d", "tau", "wind-speed", "gain", "noise", "cv")
+POSITIVE = ("q", "d", "tau", "wind-speed", "gain", "noise", "puff-rate", "puff-share")
+MOST_OF = {"cv": GREATEST_CV, "puff-share": 1.0}  # of parameters whose greatest value is not MOST
+NOT_NEGATIVE = ("q", "u", "d", "tau", "wind-speed", "gain", "noise", "cv", "puff-rate", "puff-share")
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,9 @@ def parse(text: str) -> tuple[str, Prior]:
     match prior:
         case Uniform(low, high):
             sound, rule = low < high, "LOW below HIGH"
-            if name == "cv":
-                sound, rule = 0 <= low < high <= GREATEST_CV, f"0 ≤ LOW < HIGH ≤ {GREATEST_CV:g} for cv"
+            if name in MOST_OF:
+                most = MOST_OF[name]
+                sound, rule = 0 <= low < high <= most, f"0 ≤ LOW < HIGH ≤ {most:g} for {name}"
         case Normal(_, std):
             sound, rule = std > 0, "STD above 0"
         case Gamma() | LogNormal():
@@ -97,8 +99,10 @@ def parse(text: str) -> tuple[str, Prior]:
         case Fixed(value):
             sound = value >= SMALLEST or name not in POSITIVE
             rule = f"VALUE from {SMALLEST:g} for {', '.join(POSITIVE)}"
-            if name == "cv":
-                sound, rule = 0 <= value <= GREATEST_CV, f"VALUE from 0 to {GREATEST_CV:g} for cv"
+            if name in MOST_OF:
+                least = SMALLEST if name in POSITIVE else 0
+                sound = least <= value <= MOST_OF[name]
+                rule = f"VALUE from {least:g} to {MOST_OF[name]:g} for {name}"
     if not (sound and all(abs(value) <= MOST for value in values)):
         raise ValueError(f"{text!r} is not allowed; wanted {rule}, and numbers up to {MOST:g}")
     return name, prior
@@ -107,7 +111,7 @@ def parse(text: str) -> tuple[str, Prior]:
 def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
     """Return the ends of a parameter's range under its prior. Raises ValueError if there is no range."""
     low = SMALLEST if name in POSITIVE else 0.0 if name in ("x", "y", "u", "cv") else -MOST
-    high = area_m if name in ("x", "y") else GREATEST_CV if name == "cv" else MOST
+    high = area_m if name in ("x", "y") else MOST_OF.get(name, MOST)
     match prior:
         case Uniform(a, b):
             low, high = max(low, a), min(high, b)
@@ -123,7 +127,7 @@ def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
 
 
 def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float) -> Array:
-    """Return the priors as the kernels take them, (13, 5): kind, two numbers, ends of the support.
+    """Return the priors as the kernels take them, (15, 5): kind, two numbers, ends of the support.
 
     The numbers of LOGNORMAL are log median and sigma. A parameter in neither `priors` nor `known` (u, φ) is
     measured.

@@ -1,12 +1,13 @@
 """Intermittent gas as compiled loops: the density and the distribution of a reading.
 
-A reading is c + v: the gas c is gamma-distributed, the noise v normal.
+A reading is g + v. The gas g is distributed as the inverse Gaussian law, of a mean m and a coefficient of
+variation cv; the noise v is normal, with the variance σ². docs/physics.md says why.
 
-With t = z/σ, μ = m/σ, shape k = 1/cv² the density of z is φ(t) (k/μ)^k / Γ(k) · ∫ c^(k−1) exp(−w c − c²/2)
-dc / σ, w = k/μ − t. Laplace's method, with the integral taken over log c, gives it up to a factor that
-hardly varies. That factor depends on k and w alone. Its logarithm is kept in a table over cv and v =
-c*²/(1 + k + c*²), c* the integrand's mode: the log-density is right to 0.005, and to 0.0003 up to a cv of
-1.2.
+With t = z/σ, μ = m/σ and λ = μ/cv² the density of z is √(λ/2π) ∫ c^(−3/2) exp(−λ (c − μ)²/(2 μ² c) −
+(t − c)²/2) dc / (σ √(2π)). The exponent has one maximum, at c*, the positive root of c³ + w c² = λ/2 with
+w = λ/(2μ²) − t. With ρ = λ/c*³, Laplace's method there gives the density √(ρ/(1 + ρ)) e^(exponent) / (σ
+√(2π)). It leaves out the gas that piles up near 0: √((ρ + e^(−c*²))/(1 + ρ)) has it, but for a factor that
+hardly varies. That depends on c* and ρ alone, and is kept in a table.
 """
 
 import math
@@ -16,55 +17,150 @@ import numpy as np
 
 from plume.compiled import kernel, subroutine
 from plume.elementary import Array
-from plume.numerics import HALF_LOG_2PI, erfc, exp, log
-from plume.parameters import GREATEST_CV
+from plume.numerics import HALF_LOG_2PI, ROUNDER, ROUNDER_BITS, bits_of, erfc, exp, float_of, fma, log
 
-CV_CELLS, MODE_CELLS = 60, 64  # cells of the table over cv from 0 to GREATEST_CV and over v from 0 to 1
 SMALLEST_CV = 0.01  # least intermittency: a hundredth of the mean is far below every noise
+GREATEST = 30.0  # greatest coefficient of variation of the gas at a place
 SMALLEST_MEAN = 1e-6  # least mean, in standard deviations of the noise
-NODES = 600  # nodes of the integrals behind the table
+# The table is over log₂ c*² and log₂ ρ, as `_binary_logarithm` has them: from the lowest, in cells of a
+# fraction.
+LOW_SQUARE, SQUARE_CELLS, SQUARE_FRACTION = -6.0, 136, 8.0
+LOW_RATIO, RATIO_CELLS, RATIO_FRACTION = -30.0, 88, 2.0
+HALLEY = 2  # steps to the mode, from a place that is at most a fifth of it away
 # The distribution function sums over concentrations: of BODY shares of 5% each, and of TAIL shares, each half
-# of what is left.
-BODY, TAIL = 18, 12
+# of what is left. They are tabled over cv/(1 + cv) in CV_CELLS cells.
+BODY, TAIL, CV_CELLS = 18, 12, 60
+ONE_BY_ROOT_2PI = 1 / math.sqrt(2 * math.pi)
+WHOLE, WHOLE_BITS = 4503599627370496.0, 0x4330000000000000  # 2^52 and its bits
+# The upper half of the bits of a number is nearly 2^20 (1023 + its binary logarithm). What is added to a
+# multiple of that is tuned for the least error of the power.
+OF_ONE, CUBE_ROOT, INVERSE_CUBE_ROOT = 1_072_693_248.0, 715_093_163.0, 1_430_188_326.0
+INVERSE_ROOT = 1_608_969_040.0
+
+
+@partial(subroutine, forceinline=True)
+def _upper_half(x: float) -> float:
+    """The upper half of the bits of a positive number, as a number."""
+    return float_of((bits_of(x) >> 32) | WHOLE_BITS) - WHOLE
+
+
+@partial(subroutine, forceinline=True)
+def _binary_logarithm(x: float) -> float:
+    """log₂ x to 0.09: exact for powers of 2, and linear between them."""
+    return (_upper_half(x) - OF_ONE) * 2.0**-20
+
+
+@partial(subroutine, forceinline=True)
+def _power(x: float, exponent: float, added: float) -> float:
+    """A power of a positive number, to some percent: a multiple of its logarithm, as its bits have it."""
+    return float_of((bits_of(fma(_upper_half(x), exponent, added) + ROUNDER) - ROUNDER_BITS) << 32)
+
+
+@partial(subroutine, forceinline=True)
+def _mode(scale: float, offset: float) -> float:
+    """Return the positive root s of f(s) = s² (s + offset) − scale, scale > 0, by Halley's method."""
+    v = offset * _power(scale, -1 / 3, INVERSE_CUBE_ROOT)
+    positive, square = max(v, 0.0), v * v + 4
+    above = _power(positive + _power(positive + 1, -0.5, INVERSE_ROOT), -0.5, INVERSE_ROOT)
+    below = 0.5 * (square * _power(square, -0.5, INVERSE_ROOT) - v)
+    s = _power(scale, 1 / 3, CUBE_ROOT) * (above if v > 0 else below)
+    for _ in range(HALLEY):
+        f, slope, bend = s * s * (s + offset) - scale, s * (3 * s + 2 * offset), 6 * s + 2 * offset
+        s -= 2 * f * slope / (2 * slope * slope - f * bend)
+    return s
 
 
 @subroutine
-def _log_moment(power: float, w: float) -> float:
-    """Log of ∫ c^(power−1) exp(−w c − c²/2) dc for a power of 1 or more, by the trapezoid rule over log c."""
-    root = math.sqrt(w * w + 4 * power)
-    mode = 2 * power / (root + w) if w > 0 else (root - w) / 2
-    width = 1 / math.sqrt(power + mode * mode)
-    low, high = log(mode) - 40 * width - 40 / power, log(mode) + min(40 * width, 4.0)
-    top = power * log(mode) - mode * w - 0.5 * mode * mode
-    total, step = 0.0, (high - low) / NODES
-    for node in range(NODES + 1):
-        at = low + node * step
-        c = exp(at)
-        total += exp(power * at - c * w - 0.5 * c * c - top)
+def _log_integral(lam: float, w: float, mode: float) -> float:
+    """Log of ∫ c^(−3/2) exp(−λ/(2c) − w c − c²/2) dc by the trapezoid rule over log c."""
+    width = 1 / math.sqrt(lam / mode + mode * mode)
+    low, high = log(mode) - 60 * min(width, 1.0), log(mode) + min(40 * width, 3.0)
+    if lam < mode * mode * mode or mode < 3:  # the gas near 0 matters, too
+        low = min(low, log(lam / 3) - 8) if lam < 0.5 else low - 60
+    nodes = int((high - low) / min(0.02, width / 12)) + 10
+    step, top = (high - low) / nodes, -math.inf
+    for node in range(nodes + 1):
+        c = exp(low + node * step)
+        top = max(top, -0.5 * log(c) - lam / (2 * c) - w * c - 0.5 * c * c)
+    total = 0.0
+    for node in range(nodes + 1):
+        c = exp(low + node * step)
+        total += exp(-0.5 * log(c) - lam / (2 * c) - w * c - 0.5 * c * c - top)
     return top + log(total * step)
+
+
+@subroutine
+def _binary_power(x: float) -> float:
+    """Return the inverse of `_binary_logarithm`."""
+    whole = math.floor(x)
+    return (1 + x - whole) * 2.0**whole
 
 
 @kernel("float64[:, ::1]()")
 def _corrections() -> Array:
-    """The table (CV_CELLS + 1, MODE_CELLS + 1): log of what Laplace's method leaves out, 0 at v = 0."""
-    result = np.zeros((CV_CELLS + 1, MODE_CELLS + 1))
-    for row in range(1, CV_CELLS + 1):
-        k = (CV_CELLS / (GREATEST_CV * row)) ** 2
-        for column in range(MODE_CELLS):
-            v = max(column / MODE_CELLS, 1e-7)
-            c = math.sqrt((1 + k) * v / (1 - v))
-            w = (k - c * c) / c
-            if k >= 1:
-                exact = _log_moment(k, w)
-            else:  # by parts: the gas piles up at 0
-                one, two = _log_moment(k + 1, w), _log_moment(k + 2, w)
-                exact = one + log((w + exp(two - one)) / k)
-            laplace = k * log(c) - c * w - 0.5 * c * c + HALF_LOG_2PI - 0.5 * log(k + c * c)
-            result[row, column] = exact - laplace
-        first = result[row, 0]
-        for column in range(MODE_CELLS + 1):
-            result[row, column] -= first
+    """The table (SQUARE_CELLS + 1, RATIO_CELLS + 1): the factor that is left out, 1 at great modes."""
+    result = np.ones((SQUARE_CELLS + 1, RATIO_CELLS + 1))
+    for row in range(SQUARE_CELLS):
+        c = math.sqrt(_binary_power(LOW_SQUARE + row / SQUARE_FRACTION))
+        for column in range(RATIO_CELLS + 1):
+            ratio = _binary_power(LOW_RATIO + column / RATIO_FRACTION)
+            lam, w = ratio * c * c * c, 0.5 * ratio * c - c
+            at_mode = -1.5 * log(c) - lam / (2 * c) - w * c - 0.5 * c * c + HALF_LOG_2PI
+            near_0 = math.sqrt((ratio + exp(-c * c)) / (ratio * (1 + ratio)))
+            result[row, column] = exp(_log_integral(lam, w, c) - at_mode) / near_0
     return result
+
+
+CORRECTIONS = _corrections()
+
+
+@partial(subroutine, forceinline=True)
+def _correction(square: float, ratio: float) -> float:
+    x = (_binary_logarithm(square) - LOW_SQUARE) * SQUARE_FRACTION
+    y = (_binary_logarithm(ratio) - LOW_RATIO) * RATIO_FRACTION
+    x, y = min(max(x, 0.0), float(SQUARE_CELLS)), min(max(y, 0.0), float(RATIO_CELLS))
+    row, column = min(int(x), SQUARE_CELLS - 1), min(int(y), RATIO_CELLS - 1)
+    x -= row
+    y -= column
+    low = CORRECTIONS[row, column] + y * (CORRECTIONS[row, column + 1] - CORRECTIONS[row, column])
+    high = CORRECTIONS[row + 1, column] + y * (
+        CORRECTIONS[row + 1, column + 1] - CORRECTIONS[row + 1, column]
+    )
+    return float(low + x * (high - low))
+
+
+@partial(subroutine, forceinline=True)
+def _parts(gas: float, mean: float, variance: float, square: float) -> tuple[float, float]:
+    """Return (a, b) of a density b e^a. square: of the coefficient of variation."""
+    square = min(max(square, SMALLEST_CV * SMALLEST_CV), GREATEST * GREATEST)
+    mean = max(mean, SMALLEST_MEAN * math.sqrt(variance))
+    inverse = 1 / (square * mean)
+    by_mean = square * inverse
+    scale = 0.5 * variance * inverse * by_mean
+    s = _mode(scale, scale - gas * by_mean)
+    ratio = 2 * scale / (s * s * s)  # ρ
+    by_both = 1 / ((1 + ratio) * variance)
+    by_variance = (1 + ratio) * by_both
+    at_mode = s * mean
+    squared = at_mode * at_mode * by_variance  # c*²
+    to_mean, to_gas = 1 - s, gas - at_mode
+    exponent = -0.5 * (ratio * squared * to_mean * to_mean + to_gas * to_gas * by_variance)
+    near_0 = math.sqrt((ratio + exp(-squared)) * by_both)
+    return exponent, ONE_BY_ROOT_2PI * near_0 * _correction(squared, ratio)
+
+
+@partial(subroutine, forceinline=True)
+def log_density(gas: float, mean: float, variance: float, square: float) -> float:
+    """Log-density of a reading: gas of this mean and squared cv plus noise N(0, variance)."""
+    exponent, factor = _parts(gas, mean, variance, square)
+    return exponent + log(factor)
+
+
+@partial(subroutine, forceinline=True)
+def density(gas: float, mean: float, variance: float, square: float) -> float:
+    """Density of a reading, as `log_density`."""
+    exponent, factor = _parts(gas, mean, variance, square)
+    return exp(exponent) * factor
 
 
 @kernel("float64[:, ::1]()")
@@ -74,16 +170,18 @@ def _concentrations() -> Array:
     They are in units of the mean.
     """
     result = np.ones((CV_CELLS + 1, BODY + TAIL))
-    nodes = 20 * NODES
+    nodes = 12000
     cumulative = np.empty(nodes + 1)
     for row in range(1, CV_CELLS + 1):
-        k = (CV_CELLS / (GREATEST_CV * row)) ** 2
-        low, high = log(k) - 40 / k - 40 / math.sqrt(k), log(k + 40 * math.sqrt(k) + 40)
+        x = min(row / CV_CELLS, GREATEST / (1 + GREATEST))
+        lam = ((1 - x) / x) ** 2
+        low, high = log(lam / (2 * lam + 100)), log((3 * lam + 100) / lam)
         step = (high - low) / nodes
         total, before = 0.0, 0.0
         for node in range(nodes + 1):
             at = low + node * step
-            here = exp(k * (at - log(k)) - exp(at) + k)
+            c = exp(at)
+            here = exp(-0.5 * at - 0.5 * lam * (c - 1) * (c - 1) / c)
             total += 0.5 * (before + here)
             before = here
             cumulative[node] = total
@@ -95,62 +193,28 @@ def _concentrations() -> Array:
                 node += 1
             before = cumulative[node - 1] if node > 0 else 0.0
             part = (share * total - before) / max(cumulative[node] - before, 1e-300)
-            result[row, cell] = exp(low + (node - 1 + part) * step) / k
+            result[row, cell] = exp(low + (node - 1 + part) * step)
     return result
 
 
-CORRECTIONS = _corrections()
 CONCENTRATIONS = _concentrations()
 # The share of the gas that each concentration stands for.
 SHARES = np.array([0.05] * BODY + [0.05 * 0.5**cell for cell in range(TAIL - 1)] + [0.1 * 0.5 ** (TAIL - 1)])
 
 
-@partial(subroutine, forceinline=True)
-def _parts(gas: float, mean: float, variance: float, cv: float) -> tuple[float, float, float, float]:
-    """Return (a, b, c, d) of a log-density a + (b + log c)/2 + d − log(2π)/2."""
-    cv = max(cv, SMALLEST_CV)
-    k = 1 / (cv * cv)
-    inverse = 1 / math.sqrt(variance)
-    t = gas * inverse
-    mu = max(mean * inverse, SMALLEST_MEAN)
-    a = k - t * mu  # μ w
-    root = math.sqrt(a * a + 4 * k * mu * mu)
-    ratio = 2 * k / (root + a) if a > 0 else (root - a) / (2 * mu * mu)  # c*/μ
-    square = ratio * mu * ratio * mu
-    total = k + square
-    x = cv * (CV_CELLS / GREATEST_CV)
+@subroutine
+def _row_of(square: float) -> tuple[int, float]:
+    """Return the row of CONCENTRATIONS for a squared cv, and how far it is to the next."""
+    cv = min(math.sqrt(square), GREATEST)
+    x = cv / (1 + cv) * CV_CELLS
     row = min(int(x), CV_CELLS - 1)
-    x -= row
-    y = square / (1 + total) * MODE_CELLS
-    column = min(int(y), MODE_CELLS - 1)
-    y -= column
-    low = CORRECTIONS[row, column] + y * (CORRECTIONS[row, column + 1] - CORRECTIONS[row, column])
-    high = CORRECTIONS[row + 1, column] + y * (
-        CORRECTIONS[row + 1, column + 1] - CORRECTIONS[row + 1, column]
-    )
-    return k * log(ratio), square - t * t, k * inverse * inverse / total, low + x * (high - low)
-
-
-@partial(subroutine, forceinline=True)
-def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
-    """Log-density of a reading: gas of this mean and coefficient of variation plus noise N(0, variance)."""
-    log_ratio, square, factor, correction = _parts(gas, mean, variance, cv)
-    return float(log_ratio + 0.5 * (square + log(factor)) + correction - HALF_LOG_2PI)
-
-
-@partial(subroutine, forceinline=True)
-def density(gas: float, mean: float, variance: float, cv: float) -> float:
-    """Density of a reading, as `log_density`; it takes less time than exp of that."""
-    log_ratio, square, factor, correction = _parts(gas, mean, variance, cv)
-    return float(exp(log_ratio + 0.5 * square + correction - HALF_LOG_2PI) * math.sqrt(factor))
+    return row, x - row
 
 
 @subroutine
-def exceeding(gas: float, mean: float, variance: float, cv: float) -> float:
+def exceeding(gas: float, mean: float, variance: float, square: float) -> float:
     """P(Z > gas) of a reading, as by `distribution`; small ones keep their digits."""
-    x = cv * (CV_CELLS / GREATEST_CV)
-    row = min(int(x), CV_CELLS - 1)
-    x -= row
+    row, x = _row_of(square)
     inverse, total = math.sqrt(0.5 / variance), 0.0
     low, high = CONCENTRATIONS[row], CONCENTRATIONS[row + 1]
     for cell in range(BODY + TAIL):
@@ -159,14 +223,12 @@ def exceeding(gas: float, mean: float, variance: float, cv: float) -> float:
 
 
 @subroutine
-def distribution(gas: float, mean: float, variance: float, cv: float, tails: Array) -> float:
+def distribution(gas: float, mean: float, variance: float, square: float, tails: Array) -> float:
     """P(Z ≤ gas) of a reading, as in `log_density`; right to about 0.01.
 
     tails: (BODY + TAIL,) to compute in.
     """
-    x = cv * (CV_CELLS / GREATEST_CV)
-    row = min(int(x), CV_CELLS - 1)
-    x -= row
+    row, x = _row_of(square)
     inverse = math.sqrt(0.5 / variance)
     low, high = CONCENTRATIONS[row], CONCENTRATIONS[row + 1]
     for cell in range(BODY + TAIL):

@@ -4,7 +4,7 @@ Plain IEEE arithmetic in a fixed order, exp included: results are bit-identical 
 any number of threads.
 
 particles: (D, N), one row per unknown.  unknowns: (D,) indices into `PARAMETERS`.
-priors: (13, 2 or more), one row per parameter: its kind and, if that is KNOWN, its value.
+priors: (15, 2 or more), one row per parameter: its kind and, if that is KNOWN, its value.
 readings: (T, 5 or more) rows of x, y, height (same origin as z), wind_x, wind_y.
 """
 
@@ -17,13 +17,20 @@ from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
 from plume.numerics import cosine_and_sine, exp
 from plume.parameters import (
+    BLANK,
     CV,
+    EAST,
     GAIN,
     KNOWN,
     MEASURED,
     NOISE,
+    NORTH,
     PHI,
+    PUFF_RATE,
+    PUFF_SHARE,
+    RAY,
     TAU,
+    UP,
     WIND_DIRECTION,
     WIND_SPEED,
     D,
@@ -34,12 +41,17 @@ from plume.parameters import (
     Z,
 )
 
-NOISES, CVS = 9, 10  # rows of `derive` for the noise: the square of its factor, and the gas's intermittency
+# Rows of `derive` for the noise, the square of its factor; and for the gas's intermittency: the square of the
+# cv that it has everywhere, the probability of a blank, the strength of its puffs, and 1/(2 − share) of them.
+NOISES, CVS, BLANKS, PUFFS, WIDTHS = 9, 10, 11, 12, 13
+MOST_SQUARE = 900.0  # greatest square of a coefficient of variation
 RADIANS = math.pi / 180
-# Number of rows that `derive` fills: x, y, z, gain q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ, noise², cv.
+ONE_BY_PI_ROOT_2 = 1 / (math.pi * math.sqrt(2.0))
+# Number of rows that `derive` fills: x, y, z, gain q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ, noise², and
+# those of the gas's intermittency.
 #
 # If the wind is measured, u is the factor on its speed and φ the offset of its direction.
-DERIVED = 11
+DERIVED = 14
 
 
 @subroutine
@@ -55,9 +67,14 @@ def is_location_only(unknowns: Indices, priors: Array) -> bool:
 @subroutine
 def is_plain(priors: Array) -> bool:
     """True if the sensor's noise is known and the gas is steady."""
-    return bool(
-        priors[NOISE, 0] == KNOWN and priors[NOISE, 1] == 1 and priors[CV, 0] == KNOWN and priors[CV, 1] == 0
-    )
+    return bool(priors[NOISE, 0] == KNOWN and priors[NOISE, 1] == 1 and not is_intermittent(priors))
+
+
+@subroutine
+def is_intermittent(priors: Array) -> bool:
+    """True if the gas is not taken to be steady."""
+    even = priors[CV, 0] == KNOWN and priors[CV, 1] == 0
+    return not (even and priors[PUFF_RATE, 0] == KNOWN and priors[PUFF_RATE, 1] == math.inf)
 
 
 @subroutine
@@ -103,7 +120,17 @@ def derive(particles: Array, count: int, unknowns: Indices, priors: Array, deriv
         derived[6, i] = values[WIND_SPEED] if speed_measured else values[U]
         derived[7, i], derived[8, i] = cosine_and_sine(angle)
         derived[NOISES, i] = values[NOISE] * values[NOISE]
-        derived[CVS, i] = values[CV]
+        even = values[CV] * values[CV]
+        derived[CVS, i] = even
+        derived[BLANKS, i] = BLANK * even / (1 + even)
+        share = values[PUFF_SHARE]
+        derived[PUFFS, i] = (
+            ONE_BY_PI_ROOT_2
+            * values[D]
+            * math.sqrt((1 - 0.5 * share) / (share * share * share))
+            / values[PUFF_RATE]
+        )
+        derived[WIDTHS, i] = 1 / (2 - share)
 
 
 @subroutine
@@ -137,3 +164,39 @@ def derived_means(derived: Array, count: int, reading: Array, priors: Array, mea
         drift = u * derived[4, i]
         inverse_length = math.sqrt(derived[5, i] + drift * drift)
         means[i] = derived[3, i] / distance * exp(-distance * inverse_length - drift * (dx * c + dy * s))
+
+
+@subroutine
+def squares_of_puffs(
+    derived: Array, count: int, reading: Array, priors: Array, sensor: Array, squares: Array
+) -> None:
+    """Fill `squares` (count,) with the squared coefficient of variation of the gas at the reading's place.
+
+    Gas in puffs of the variance 2 s d a at age a, at random times and displaced so that their mean is the
+    plume, has by Campbell's theorem the variance q²/rate ∫ e^(−2a/τ) N(r + w a; 0, 2 (1 − s/2) d a) (8π s d
+    a)^(−3/2) da. The integral is a Bessel function, z² e^z K₂(z) ≈ √(4 + 8z + 5.9z² + πz³/2). By the squared
+    mean that is strength · √(…)/r² · e^(2r/λ − z + …); docs/physics.md has all of it.
+    Along a ray it is that of the place nearest to the source.
+    """
+    speed, cosine, sine = wind_of(reading, priors)
+    ray, east, north, up = sensor[RAY], sensor[EAST], sensor[NORTH], sensor[UP]
+    for i in range(count):
+        u = speed * derived[6, i]
+        c = cosine * derived[7, i] - sine * derived[8, i]
+        s = sine * derived[7, i] + cosine * derived[8, i]
+        dx = reading[0] - derived[0, i]
+        dy = reading[1] - derived[1, i]
+        dz = reading[2] - derived[2, i]
+        along = min(max(-(dx * east + dy * north + dz * up), 0.0), ray)
+        dx += along * east
+        dy += along * north
+        dz += along * up
+        square = max(dx * dx + dy * dy + dz * dz, SOURCE_RADIUS_M * SOURCE_RADIUS_M)
+        distance = math.sqrt(square)
+        drift, width = u * derived[4, i], derived[WIDTHS, i]
+        inverse_length = math.sqrt(derived[5, i] + drift * drift)
+        z = 2 * distance * math.sqrt(width * (derived[5, i] + width * drift * drift))
+        exponent = 2 * (distance * inverse_length + (1 - width) * drift * (dx * c + dy * s)) - z
+        bessel = math.sqrt(4 + z * (8 + z * (5.9 + z * (0.5 * math.pi))))
+        puffs = derived[PUFFS, i] * bessel / square * exp(exponent)
+        squares[i] = min(derived[CVS, i] + puffs, MOST_SQUARE)

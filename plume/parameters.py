@@ -3,6 +3,8 @@
 Their order in arrays, the kinds of prior knowledge about each, and their limits.
 """
 
+import math
+
 # Of the release: position m (z above home), release rate g/s, wind m/s and rad, diffusivity m²/s, lifetime s.
 #
 # Of what measures it: `wind-direction` is what has to be added to the measured direction, degrees
@@ -23,10 +25,16 @@ PARAMETERS = (
     "gain",
     "noise",
     "cv",
+    "puff-rate",
+    "puff-share",
 )
-X, Y, Z, Q, U, PHI, D, TAU, WIND_DIRECTION, WIND_SPEED, GAIN, NOISE, CV = range(13)
-# Values of a faultless anemometer and sensor.
-NEUTRAL = {"wind-direction": 0.0, "wind-speed": 1.0, "gain": 1.0, "noise": 1.0}
+X, Y, Z, Q, U, PHI, D, TAU, WIND_DIRECTION, WIND_SPEED, GAIN, NOISE, CV, PUFF_RATE, PUFF_SHARE = range(15)
+# Values of a faultless anemometer and sensor, and of gas without puffs.
+NEUTRAL = {
+    **{"wind-direction": 0.0, "wind-speed": 1.0, "gain": 1.0, "noise": 1.0},
+    # Infinitely many puffs are steady gas.
+    **{"puff-rate": math.inf, "puff-share": 0.2},
+}
 # Kinds of knowledge about a parameter: known value, family of its prior, or measured with each reading
 # (wind).
 KNOWN, UNIFORM, NORMAL, GAMMA, MEASURED, LOGNORMAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
@@ -40,6 +48,8 @@ KIND, SLOPE, FLOOR, THRESHOLD, MISSED = range(5)
 # vector.
 RISE, DECAY, DWELL, SATURATION, CLEAN, FACTOR, POWER, RAY, EAST, NORTH, UP = range(5, 16)
 SENSOR_NUMBERS = 16
+# Share of the readings that are blank where gas comes and goes alike everywhere, of cv²/(1 + cv²).
+BLANK = 0.4
 GREATEST_CV = 3.0  # the strongest intermittency that the sensor model covers
 # Least and greatest value of a release's parameters that may be given: far beyond any leak, and no arithmetic
 # overflows between them.

@@ -68,6 +68,16 @@ def standard_gamma(rng: np.random.Generator, shape: Array | float, size: int) ->
     return rng.standard_gamma(shape, size).astype(np.float32).astype(np.float64)
 
 
+def inverse_gaussian(square: float | Array, rng: "Draws", size: tuple[int, ...]) -> Array:
+    """Draw inverse Gaussian variables of mean 1 and this squared coefficient of variation.
+
+    As Michael, Schucany and Haas 1976: the smaller root of a quadratic, or the inverse of it.
+    """
+    half = 0.5 * square * np.square(rng.standard_normal(size))
+    smaller = 1 / (1 + half + np.sqrt(half * (2 + half)))
+    return np.where(rng.random(size) * (1 + smaller) < 1, smaller, 1 / smaller)
+
+
 class Abreast:
     """Several keyed generators side by side, one for each element of an array.
 

@@ -5,7 +5,7 @@ angles and rare sensors. A mission is therefore bit-identical alone or in a batc
 threads. Loops are simple, so that LLVM can vectorise them.
 
 particles: (D, N), one row per unknown.  unknowns: (D,) indices into `plume.parameters.PARAMETERS`.
-priors: (13, 5) rows of kind, a, b and the support's ends.  sensor: (5,) kind and numbers.  readings: (T,
+priors: (15, 5) rows of kind, a, b and the support's ends.  sensor: (5,) kind and numbers.  readings: (T,
 7) rows of x, y, height (same origin as z), wind_x, wind_y, gas and share, the exponent of the reading's
 likelihood.
 """

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
-from estimator.kernels.densities import Model, is_intermittent, is_saturated, normal_cdf
+from estimator.kernels.densities import Model, is_saturated, normal_cdf, parts_of_gas
 from estimator.kernels.spikes import spike_density, spike_rank
 from plume.compiled import kernel, subroutine
 from plume.elementary import Array
 from plume.intermittency import BODY, TAIL, distribution
-from plume.kernels import CVS, NOISES
+from plume.kernels import BLANKS, NOISES, is_intermittent
 from plume.numerics import HALF_LOG_2PI, dot, exp, log, log1p, log_gamma, total_of
 from plume.parameters import DECAY, DWELL, GAUSSIAN_KIND, HITS_KIND, RISE, SATURATION, THRESHOLD_KIND
 from plume.response import lags
@@ -54,13 +54,21 @@ def _hits_cdf(count: float, expected: float) -> float:
 
 @subroutine
 def predictive_rank(
-    means: Array, fresh: Array, derived: Array, weights: Array, gas: float, model: Model, chance: float
+    means: Array,
+    fresh: Array,
+    squares: Array,
+    derived: Array,
+    weights: Array,
+    gas: float,
+    model: Model,
+    chance: float,
 ) -> float:
     """Return the rank of a reading in its predictive distribution (Dawid 1984).
 
     It is uniform in (0, 1) if the model is right. That of a spike is near 0 or 1, but no nearer than spikes
     are rare.
-    means, weights: (N,) of the particles before the reading.  fresh: as of `log_densities`.
+    means, weights: (N,) of the particles before the reading.  fresh, squares: as of
+    `log_densities`.
     derived: their columns of `plume.kernels.derive`, or empty.
     chance: a uniform draw in (0, 1) that breaks ties of discrete readings.
     """
@@ -81,8 +89,19 @@ def predictive_rank(
         variance = noises[i] * ((sensor[1] * few[i]) ** 2 + sensor[2] * sensor[2])
         if intermittent:
             recent = fresh[i * stride]
-            tails[i] = distribution(
-                gas - (few[i] - recent), recent, variance, derived[CVS, i * stride], cells
+            blank = derived[BLANKS, i * stride]
+            without, there, of_gas, with_gas = parts_of_gas(
+                few[i],
+                recent,
+                noises[i],
+                blank,
+                squares[i * stride],
+                sensor[1] * sensor[1],
+                sensor[2] * sensor[2],
+            )
+            residual = gas - (few[i] - recent)
+            tails[i] = blank * normal_cdf(residual / math.sqrt(without)) + (1 - blank) * distribution(
+                residual, there, with_gas, of_gas, cells
             )
         elif sensor[0] == HITS_KIND:
             expected = sensor[1] * few[i] + sensor[2]

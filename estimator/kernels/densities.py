@@ -1,6 +1,7 @@
 """Log-likelihoods of gas values as defined in `plume/sensors/sensor.py`, and log prior densities."""
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import numba
@@ -10,24 +11,24 @@ from estimator.kernels.spikes import spike_density
 from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
-from plume.intermittency import density, exceeding, log_density
+from plume.intermittency import ONE_BY_ROOT_2PI, density, exceeding
 from plume.kernels import (
-    CVS,
+    BLANKS,
     DERIVED,
     NOISES,
     derive,
+    is_intermittent,
     is_location_only,
     is_plain,
+    squares_of_puffs,
 )
 from plume.numerics import HALF_LOG_2PI, erfc, exp, log, log1p, log_gamma
 from plume.parameters import (
     CLEAN,
-    CV,
     DWELL,
     GAMMA,
     GAUSSIAN_KIND,
     HITS_KIND,
-    KNOWN,
     LOGNORMAL,
     NORMAL,
     RAY,
@@ -53,7 +54,7 @@ class Model(NamedTuple):
     """What the filter assumes, as kernels take it."""
 
     unknowns: Indices  # (D,) indices into `plume.parameters.PARAMETERS`
-    priors: Array  # (13, 5): kind, two numbers, and the support's ends of each parameter
+    priors: Array  # (15, 5): kind, two numbers, and the support's ends of each parameter
     sensor: Array  # (SENSOR_NUMBERS,): kind and numbers
     spikes: Array  # (1,): share of the readings that say nothing of the source
 
@@ -68,44 +69,90 @@ def is_saturated(gas: float, sensor: Array) -> bool:
     return bool(gas >= sensor[SATURATION])
 
 
-@subroutine
-def is_intermittent(priors: Array) -> bool:
-    """True if the gas is not taken to be steady."""
-    return bool(priors[CV, 0] != KNOWN or priors[CV, 1] != 0)
+@partial(subroutine, forceinline=True)
+def parts_of_gas(
+    mean: float, fresh: float, noise: float, blank: float, square: float, slope: float, floor: float
+) -> tuple[float, float, float, float]:
+    """Return what a reading is made of in intermittent gas, as `plume.sensors.sensor.fluctuating` does.
+
+    They are the variance of the noise of a blank, the mean and the squared cv of the gas where there is some,
+    its noise with it, and the variance of the noise that does not go with it.
+    noise: the square of its factor.  blank: the probability of a blank.  square: of the cv of all the gas.
+    slope, floor: α² and β².
+    """
+    slope, floor = noise * slope, noise * floor
+    of_gas = (1 - blank) * (1 + square) - 1
+    gas = fresh / (1 - blank)
+    older = mean - fresh
+    steady = slope / max(slope + of_gas, 1e-300)
+    with_gas = slope * (older * older + 2 * older * gas + steady * gas * gas) + floor
+    return slope * mean * mean + floor, gas, of_gas * (1 + slope + steady), with_gas
+
+
+@partial(subroutine, forceinline=True)
+def gas_density(
+    gas: float,
+    mean: float,
+    fresh: float,
+    noise: float,
+    blank: float,
+    square: float,
+    slope: float,
+    floor: float,
+) -> float:
+    """Density of a reading in intermittent gas, of which `parts_of_gas` says what it is made of."""
+    without, there, of_gas, with_gas = parts_of_gas(mean, fresh, noise, blank, square, slope, floor)
+    residual, precision = gas - (mean - fresh), 1 / without
+    nothing = ONE_BY_ROOT_2PI * math.sqrt(precision) * exp(-0.5 * residual * residual * precision)
+    return blank * nothing + (1 - blank) * density(residual, there, with_gas, of_gas)
 
 
 @subroutine
 def log_densities(
-    means: Array, fresh: Array, derived: Array, count: int, gas: float, model: Model, result: Array
+    means: Array,
+    fresh: Array,
+    squares: Array,
+    derived: Array,
+    count: int,
+    gas: float,
+    model: Model,
+    result: Array,
 ) -> None:
     """Fill `result` with the log-likelihood of a gas value for each mean, as plume/sensors/ defines it.
 
     Where a share of the readings are spikes, it is that of the mixture.
     fresh: (count,) the part of each mean that the gas at the place gives and that fluctuates with it; all of
-    it, but for a sensor that lags.
-    derived: as of `reading_densities`, for the noise and the gas's intermittency where they are unknown.
+    it, but for a sensor that lags.  squares: (count,) of the cv of that gas, if it is not steady.
+    derived: as of `reading_densities`, for the noise where it is unknown.
     """
     spikes = model.spikes[0]
     if spikes == 0:
-        _without_spikes(means, fresh, derived, count, gas, model, result)
+        _without_spikes(means, fresh, squares, derived, count, gas, model, result)
         return
     kept, spike = 1 - spikes, spikes * spike_density(gas, model.sensor)
     if is_intermittent(model.priors) and not is_saturated(gas, model.sensor):
         slope, floor = model.sensor[1] * model.sensor[1], model.sensor[2] * model.sensor[2]
         for i in range(count):
-            variance = derived[NOISES, i] * (slope * means[i] * means[i] + floor)
-            result[i] = log(
-                kept * density(gas - (means[i] - fresh[i]), fresh[i], variance, derived[CVS, i]) + spike
+            here = gas_density(
+                gas, means[i], fresh[i], derived[NOISES, i], derived[BLANKS, i], squares[i], slope, floor
             )
+            result[i] = log(kept * here + spike)
     else:
-        _without_spikes(means, fresh, derived, count, gas, model, result)
+        _without_spikes(means, fresh, squares, derived, count, gas, model, result)
         for i in range(count):
             result[i] = log(kept * exp(result[i]) + spike)
 
 
 @subroutine
 def _without_spikes(
-    means: Array, fresh: Array, derived: Array, count: int, gas: float, model: Model, result: Array
+    means: Array,
+    fresh: Array,
+    squares: Array,
+    derived: Array,
+    count: int,
+    gas: float,
+    model: Model,
+    result: Array,
 ) -> None:
     """Fill `result` as `log_densities` does for readings that are no spikes."""
     sensor = model.sensor
@@ -123,17 +170,24 @@ def _without_spikes(
     elif is_saturated(gas, sensor):
         for i in range(count):
             noise = derived[NOISES, i] if len(derived) else 1.0
-            variance = noise * (slope * means[i] * means[i] + floor)
             if is_intermittent(model.priors):
-                older = means[i] - fresh[i]
-                beyond = exceeding(sensor[SATURATION] - older, fresh[i], variance, derived[CVS, i])
+                blank = derived[BLANKS, i]
+                without, there, of_gas, with_gas = parts_of_gas(
+                    means[i], fresh[i], noise, blank, squares[i], slope, floor
+                )
+                far = sensor[SATURATION] - (means[i] - fresh[i])
+                beyond = blank * normal_cdf(-far / math.sqrt(without))
+                beyond += (1 - blank) * exceeding(far, there, with_gas, of_gas)
             else:
+                variance = noise * (slope * means[i] * means[i] + floor)
                 beyond = normal_cdf((means[i] - sensor[SATURATION]) / math.sqrt(variance))
             result[i] = log(max(beyond, 1e-300))
     elif not plain and is_intermittent(model.priors):
         for i in range(count):
-            variance = derived[NOISES, i] * (slope * means[i] * means[i] + floor)
-            result[i] = log_density(gas - (means[i] - fresh[i]), fresh[i], variance, derived[CVS, i])
+            here = gas_density(
+                gas, means[i], fresh[i], derived[NOISES, i], derived[BLANKS, i], squares[i], slope, floor
+            )
+            result[i] = log(max(here, 1e-300))
     elif kind == THRESHOLD_KIND and gas == 0.0:
         for i in range(count):
             if plain:
@@ -210,11 +264,17 @@ def reading_densities(
     model: Model,
     means: Array,
     fresh: Array,
+    squares: Array,
     result: Array,
 ) -> None:
-    """Fill `means`, `fresh` (`element_means`) and `result` (count,), the log-likelihood by particle."""
+    """Fill `means`, `fresh`, `squares` and `result` (count,), the log-likelihood by particle.
+
+    `element_means` and `squares_of_puffs` say what they are; of gas that is steady, `squares` stays as it is.
+    """
     element_means(particles, derived, count, reading, model, means, fresh, result)
-    log_densities(means, fresh, derived, count, reading[5], model, result)
+    if is_intermittent(model.priors):
+        squares_of_puffs(derived, count, reading, model.priors, model.sensor, squares)
+    log_densities(means, fresh, squares, derived, count, reading[5], model, result)
 
 
 @subroutine
@@ -327,11 +387,11 @@ def _greatest_without_spikes(gas: float, sensor: Array, priors: Array) -> float:
 def log_likelihoods(particles: Array, model: Model, reading: Array) -> Array:
     """Log-likelihood of one reading (7,) or (11,) under each particle: (N,)."""
     count = particles.shape[1]
-    means, fresh, result = np.empty(count), np.empty(count), np.empty(count)
+    means, fresh, squares, result = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     derived = derived_of(count, model)
     if len(derived):
         derive(particles, count, model.unknowns, model.priors, derived)
-    reading_densities(particles, derived, count, reading, model, means, fresh, result)
+    reading_densities(particles, derived, count, reading, model, means, fresh, squares, result)
     return result
 
 

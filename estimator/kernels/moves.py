@@ -42,7 +42,7 @@ class Block(NamedTuple):
     targets: Array  # (BLOCK,) log density of the prior and the readings so far
     needed: Array  # (BLOCK,) the log target that is accepted
     owners: Indices  # (BLOCK,) the particle that would move there
-    scratch: Array  # (7, BLOCK)
+    scratch: Array  # (8, BLOCK)
 
 
 @subroutine
@@ -185,7 +185,7 @@ def _judge(block: Block, alive: int, readings: Array, bounds: Array, model: Mode
     """
     particles, derived, targets, needed, _, scratch = block
     means, densities, log_factors, possible = scratch[0], scratch[1], scratch[2], scratch[3]
-    fresh = scratch[4]  # of readings that are not fused
+    fresh, squares = scratch[4], scratch[5]  # of readings that are not fused
     plain = is_plain(model.priors)
     last = len(readings) - 1
     back = next_check = 0
@@ -197,7 +197,7 @@ def _judge(block: Block, alive: int, readings: Array, bounds: Array, model: Mode
                 t -= 1
             add_place_densities(particles, alive, readings[t : newest + 1], model, scratch[4:], targets)
         else:
-            reading_densities(particles, derived, alive, readings[t], model, means, fresh, densities)
+            reading_densities(particles, derived, alive, readings[t], model, means, fresh, squares, densities)
             for j in range(alive):
                 targets[j] += share * densities[j]
         back = last - t + 1
@@ -222,7 +222,7 @@ def _accept(
     """
     rows, count = particles.shape
     bounds, fused = _bounds(readings, model), is_fused(readings, model)
-    few, derived, scratch = np.empty((rows, BLOCK)), derived_of(BLOCK, model), np.zeros((7, BLOCK))
+    few, derived, scratch = np.empty((rows, BLOCK)), derived_of(BLOCK, model), np.zeros((8, BLOCK))
     owners, targets, thresholds = np.empty(BLOCK, np.int64), np.empty(BLOCK), np.empty(BLOCK)
     block, accepted = Block(few, derived, targets, thresholds, owners, scratch), 0
     for first in range(0, count, BLOCK):

@@ -75,15 +75,17 @@ def update(sample: WeightedSample, readings: Array, model: Model, seed: int, swe
     """
     count, step = sample.particles.shape[1], len(readings) - 1
     reading, derived = readings[step], derived_of(count, model)
-    means, fresh, log_densities = np.empty(count), np.empty(count), np.empty(count)
+    means, fresh, squares, log_densities = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     rank, exponent = 0.5, 0.0
     for stage in range(MAX_STAGES):
         if len(derived):
             derive(sample.particles, count, model.unknowns, model.priors, derived)
-        reading_densities(sample.particles, derived, count, reading, model, means, fresh, log_densities)
+        reading_densities(
+            sample.particles, derived, count, reading, model, means, fresh, squares, log_densities
+        )
         if stage == 0:
             chance = uniform(key_of(seed, step, 0, 1000), 0)
-            rank = predictive_rank(means, fresh, derived, sample.weights, reading[5], model, chance)
+            rank = predictive_rank(means, fresh, squares, derived, sample.weights, reading[5], model, chance)
         exponent, size = reweight(sample, log_densities, exponent)
         reading[6] = exponent
         if size < RESAMPLE_BELOW * count:

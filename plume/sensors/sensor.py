@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plume.randomness import Draws
+from plume.parameters import BLANK
+from plume.randomness import Draws, inverse_gaussian
 
 Array = NDArray[np.float64]
 # A reading this many standard deviations beyond what the strongest plume could give is absurd.
@@ -22,43 +24,50 @@ def normal_cdf(value: ArrayLike) -> Array:
     return np.asarray(0.5 * (1.0 + _erf(np.asarray(value) / math.sqrt(2.0))))
 
 
-def fluctuating(mean: Array, cv: float, rng: Draws) -> Array:
-    """Draw the concentration around each mean, g/m³.
+class Fluctuating(NamedTuple):
+    """What a reading in intermittent gas is made of, for gas of a mean and a coefficient of variation cv.
 
-    It is gamma-distributed with this coefficient of variation; the mean itself if that is 0.
+    It is blank with a probability. Else there is gas, distributed as the inverse Gaussian law, with normal
+    noise.
     """
-    return mean * rng.standard_gamma(1 / (cv * cv), mean.shape) * (cv * cv) if cv > 0 else mean
+
+    blank: float  # the probability that it is: noise of the mean's strength, and no gas
+    mean: Array  # of the gas where there is some
+    square: float | Array  # of the coefficient of variation of that gas, with the noise that goes with it
+    std: Array  # of the noise that does not
 
 
-def _gamma_and_normal(reading: Array, mean: Array, std: Array, cv: float) -> Array:
-    """Log-density of c + v at each reading: c is gamma with this mean and cv, v ~ N(0, std²).
+def fluctuating(mean: Array, cv: float, slope: float | Array, floor: float | Array) -> Fluctuating:
+    """Return what a reading is made of where the gas has this mean. slope, floor: α and β of the noise."""
+    blank = BLANK * cv * cv / (1 + cv * cv)
+    square = (1 - blank) * (1 + cv * cv) - 1
+    steady = slope * slope / (slope * slope + square)
+    there = mean / (1 - blank)
+    std = np.sqrt(slope * slope * steady * there * there + floor * floor)
+    return Fluctuating(blank, there, square * (1 + slope * slope + steady), std)
 
-    A numerical integral over c. It is taken by parts, since for a shape below 1 the gas piles up at 0.
+
+def _log_density(reading: Array, gas: Fluctuating, std: Array) -> Array:
+    """Log-density of each reading; std: of the noise of a blank.
+
+    A numerical integral over the logarithm of the gas.
     """
-    reading, mean, std = np.broadcast_arrays(reading, mean, std)
-    shape, scale = 1 / (cv * cv), np.maximum(mean, 1e-12 * std) * (cv * cv)
-    peak = (shape + 1) * scale
-    spread = 40 * np.sqrt(shape + 1) * scale
-    far = np.linspace(-45 / (shape + 1) - 3, 0.0, 2001)  # of log c
-    near = np.linspace(
-        -12.0, 12.0, 2001
-    )  # of standard deviations around the reading, and of shares of the gamma's spread
-    ends = np.maximum(peak + spread, reading + 12 * std)
-    nodes = [ends[..., None] * np.exp(far), np.maximum(reading[..., None] + std[..., None] * near, 0.0)]
-    c = np.sort(
-        np.concatenate([*nodes, np.maximum(peak[..., None] + spread[..., None] / 12 * near, 0.0)], axis=-1),
-        axis=-1,
+    reading, mean, noise = np.broadcast_arrays(reading, gas.mean, gas.std)
+    mean = np.maximum(mean, 1e-9 * noise)[..., None]
+    low, high = (
+        1 + 1500 * gas.square + 12 * math.sqrt(gas.square),
+        1 + 80 * gas.square + 12 * math.sqrt(gas.square),
     )
-    gap = (reading[..., None] - c) / std[..., None]
-    exponent = shape * np.log(np.maximum(c, 1e-300)) - c / scale[..., None] - 0.5 * gap * gap
-    top = exponent.max(axis=-1)
-    # c^(k−1) = (c^k)'/k, so the integral is that of c^k / k times the negative derivative of the rest.
-    slope = 1 / scale[..., None] - gap / std[..., None]
-    total = np.trapezoid(slope * np.exp(exponent - top[..., None]), c, axis=-1)
-    constant = (
-        math.log(shape) + math.lgamma(shape) + shape * np.log(scale) + np.log(std) + 0.5 * np.log(2 * np.pi)
-    )
-    return np.asarray(np.log(np.maximum(total, 1e-300)) + top - constant)
+    even = np.exp(np.linspace(-math.log(low), math.log(high), 4001)) * mean
+    near = np.maximum(reading[..., None] + noise[..., None] * np.linspace(-12.0, 12.0, 4001), 1e-300)
+    c = np.sort(np.concatenate([even, near], axis=-1), axis=-1)
+    gap = (reading[..., None] - c) / noise[..., None]
+    exponent = -0.5 * (np.square(c - mean) / (gas.square * mean * c) + np.square(gap))
+    exponent -= 1.5 * np.log(c / mean)
+    total = np.trapezoid(np.exp(exponent), c, axis=-1)
+    there = total / (2 * np.pi * math.sqrt(gas.square) * mean[..., 0] * noise)
+    nothing = np.exp(-0.5 * np.square(reading / std)) / (std * math.sqrt(2 * np.pi))
+    return np.asarray(np.log(np.maximum(gas.blank * nothing + (1 - gas.blank) * there, 1e-300)))
 
 
 @dataclass(frozen=True)
@@ -70,9 +79,8 @@ class Gaussian:
 
     sensor_noise: float = 0.3  # α: standard deviation as a share of the concentration
     environment_noise: float = 0.2  # β: standard deviation in clean air, g/m³; above 0
-    # Intermittency: coefficient of variation of the gas, up to GREATEST_CV; 0 is steady gas. The
-    # concentration c is then gamma-distributed around the plume's mean with shape k = 1/cv² and scale m/k,
-    # independent from reading to reading, and z = c + v.
+    # Intermittency: coefficient of variation of the gas, up to GREATEST_CV; 0 is steady gas. A reading is
+    # then as `fluctuating` says, independent from reading to reading.
     cv: float = 0.0
     dwell: float = field(
         default=0.0, kw_only=True
@@ -94,25 +102,29 @@ class Gaussian:
         sensor's noise.
         """
         mean = np.asarray(mean, np.float64)
-        error = np.asarray(noise) * self.noise_std(mean) * rng.standard_normal(mean.shape)
-        there = (
-            fluctuating(mean, self.cv, rng)
-            if concentration is None
-            else np.asarray(concentration, np.float64)
+        normal = rng.standard_normal(mean.shape)
+        if concentration is not None or not self.cv:
+            there = mean if concentration is None else np.asarray(concentration, np.float64)
+            return np.asarray(there + np.asarray(noise) * self.noise_std(mean) * normal)
+        factor = np.asarray(noise)
+        gas = fluctuating(mean, self.cv, factor * self.sensor_noise, factor * self.environment_noise)
+        return np.where(
+            rng.random(mean.shape) < gas.blank,
+            factor * self.noise_std(mean) * normal,
+            gas.mean * inverse_gaussian(gas.square, rng, mean.shape) + gas.std * normal,
         )
-        return np.asarray(there + error)
 
     def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
         """log N(z; m, σ(m)²) with its normaliser, which differs between hypotheses because σ depends on m.
 
-        In intermittent gas that of the sum of a gamma-distributed concentration and the noise, by
-        numerical integration over the gas.
+        In intermittent gas that of what `fluctuating` says, by numerical integration over the gas.
         """
         std = self.noise_std(mean)
         if self.cv > 0:
-            return _gamma_and_normal(
-                np.asarray(reading, np.float64), np.asarray(mean, np.float64), std, self.cv
+            gas = fluctuating(
+                np.asarray(mean, np.float64), self.cv, self.sensor_noise, self.environment_noise
             )
+            return _log_density(np.asarray(reading, np.float64), gas, std)
         residual = np.asarray(reading, np.float64) - np.asarray(mean, np.float64)
         return np.asarray(-0.5 * np.square(residual / std) - np.log(std) - 0.5 * np.log(2 * np.pi))
 
