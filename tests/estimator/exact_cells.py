@@ -47,15 +47,15 @@ def normal_log_density(gas: float, mean: Array) -> Array:
     return -0.5 * ((gas - mean) ** 2 / variance + np.log(variance))
 
 
-def gas_density(gas: float, there: Array, std: Array, square: float) -> Array:
-    """Density of a reading: inverse Gaussian gas of these means (M,) and of one squared coefficient of
-    variation, plus normal noise of these standard deviations.
+def gas_density(gas: float, there: Array, std: Array, square: float | Array) -> Array:
+    """Density of a reading: inverse Gaussian gas of these means (M,) and squared coefficients of variation,
+    plus normal noise of these standard deviations.
 
     The trapezoid rule over x = ln(gas/mean), where the gas is within 9 standard deviations of the reading and
     its own density e^(−x/2 − (cosh x − 1)/S) is above about e^−50. At both ends the integrand vanishes, and so
     does the rule's error.
     """
-    widest = math.acosh(1 + 55 * square)
+    widest = np.arccosh(1 + 55 * square)
     with np.errstate(divide="ignore"):
         first = np.log(np.maximum(gas - 9 * std, 0.0) / there)
         last = np.log(np.maximum(gas + 9 * std, 1e-300) / there)
@@ -63,7 +63,7 @@ def gas_density(gas: float, there: Array, std: Array, square: float) -> Array:
     x = first + (last - first) * np.linspace(0.0, 1.0, CELLS)[:, None]
     exponent = -0.5 * x - (np.cosh(x) - 1) / square - 0.5 * np.square((gas - there * np.exp(x)) / std)
     return np.asarray(np.exp(exponent).sum(axis=0) * (last - first) / (CELLS - 1)) / (
-        2 * math.pi * math.sqrt(square) * std
+        2 * math.pi * np.sqrt(square) * std
     )
 
 
