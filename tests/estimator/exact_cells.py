@@ -1,14 +1,13 @@
 """The exact posterior of the source's position and a third unknown, on cells that follow its mass. It
 shares no code with the filter.
 
-The plume is derived as in exact.py. Gas of intermittency cv is cut into cells of concentration; each is
-replaced by a normal variable of the same mass, mean and variance, so that a reading's density is a sum of
-normal densities.
+The plume is derived as in exact.py. In gas of intermittency cv a reading is blank or inverse Gaussian gas
+plus noise, whose density is a sum over the logarithm of the gas.
 """
 
 import math
 from collections.abc import Callable
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,24 +47,30 @@ def normal_log_density(gas: float, mean: Array) -> Array:
     return -0.5 * ((gas - mean) ** 2 / variance + np.log(variance))
 
 
-@cache
-def gas_cells(cv: float) -> tuple[Array, Array, Array]:
-    """Mass, mean and variance of a gamma variable of mean 1 in cells: narrow ones where it is dense, none
-    wider than the noise allows.
-    """
-    from scipy import special
+def gas_density(gas: float, there: Array, std: Array, square: float | Array) -> Array:
+    """Density of a reading: inverse Gaussian gas of these means (M,) and squared coefficients of variation,
+    plus normal noise of these standard deviations.
 
-    k = 1 / cv**2
-    edges = np.concatenate([np.arange(0, 2, 0.1), np.arange(2, 60, 0.4), [1e9]])
-    zeroth, first, second = (np.diff(special.gammainc(k + power, k * edges)) for power in (0, 1, 2))
-    kept = zeroth > 1e-14
-    mass = zeroth[kept]
-    mean = first[kept] / mass
-    return mass, mean, np.maximum(second[kept] * (1 + cv**2) / mass - mean**2, 0)
+    The trapezoid rule over x = ln(gas/mean), where the gas is within 9 standard deviations of the reading and
+    its own density e^(−x/2 − (cosh x − 1)/S) is above about e^−50. At both ends the integrand vanishes, and so
+    does the rule's error.
+    """
+    widest = np.arccosh(1 + 55 * square)
+    with np.errstate(divide="ignore"):
+        first = np.log(np.maximum(gas - 9 * std, 0.0) / there)
+        last = np.log(np.maximum(gas + 9 * std, 1e-300) / there)
+    first, last = np.clip(first, -widest, widest), np.clip(last, -widest, widest)
+    x = first + (last - first) * np.linspace(0.0, 1.0, CELLS)[:, None]
+    exponent = -0.5 * x - (np.cosh(x) - 1) / square - 0.5 * np.square((gas - there * np.exp(x)) / std)
+    return np.asarray(np.exp(exponent).sum(axis=0) * (last - first) / (CELLS - 1)) / (
+        2 * math.pi * np.sqrt(square) * std
+    )
 
 
 LOG_MEANS = np.linspace(math.log(1e-3), math.log(200.0), 110)
 """Nodes of the tables below; between them, cubic interpolation."""
+CELLS = 400
+"""Of the gas, at each node."""
 
 
 def intermittent_log_density(gas: float, mean: Array, cv: Array) -> Array:
@@ -84,12 +89,21 @@ def intermittent_log_density(gas: float, mean: Array, cv: Array) -> Array:
 
 @lru_cache(4096)
 def _log_densities(gas: float, cv: float) -> Array:
-    """Log-density of a reading at the means of LOG_MEANS."""
-    mass, at, spread = gas_cells(cv)
-    mean = np.exp(LOG_MEANS)[:, None]
-    variance = 0.09 * mean**2 + 0.04 + mean**2 * spread
-    density = (mass / np.sqrt(variance) * np.exp(-0.5 * (gas - mean * at) ** 2 / variance)).sum(axis=1)
-    return np.log(np.maximum(density, 1e-300))
+    """Log-density of a reading at the means of LOG_MEANS, without its factor 1/√2π.
+
+    The gas of readings that are not blank keeps the mean and the mean square of all. Its noise, 0.3 of it, has
+    a variance for the gas's mean and one more for how far it varies; of the first a share is normal, and all
+    else goes with the gas.
+    """
+    mean = np.exp(LOG_MEANS)
+    blank = 0.4 * cv**2 / (1 + cv**2)
+    there, own = mean / (1 - blank), (1 - blank) * (1 + cv**2) - 1
+    normal = 0.09**2 / (0.09 + own)
+    square = own + 0.09 * (1 + own) - normal
+    silent = 0.09 * mean**2 + 0.04
+    density = blank * np.exp(-0.5 * gas**2 / silent) / np.sqrt(silent)
+    loud = gas_density(gas, there, np.sqrt(normal * there**2 + 0.04), square)
+    return np.log(np.maximum(density + (1 - blank) * math.sqrt(2 * math.pi) * loud, 1e-300))
 
 
 Likelihood = Callable[[Array, Array, Array, tuple[float, ...], tuple[float, float, float]], Array]

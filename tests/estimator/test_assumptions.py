@@ -11,12 +11,26 @@ from estimator.assumptions import ASSUMPTIONS, effective_priors
 from estimator.filter import Config
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from link import cli
-from plume.parameters import CV, NOISE, PARAMETERS, PHI, TAU, WIND_DIRECTION, WIND_SPEED, D, Q, U
+from plume.parameters import (
+    CV,
+    NOISE,
+    PARAMETERS,
+    PHI,
+    PUFF_RATE,
+    PUFF_SHARE,
+    TAU,
+    WIND_DIRECTION,
+    WIND_SPEED,
+    D,
+    Q,
+    U,
+)
 from plume.sensors.names import GAUSSIAN, Sensor
 from plume.sensors.sensor import Gaussian, Hits, Threshold
 from sitl.script.script import EstimatorPart
 
-FIELD = ("x", "y", "q", "tau", "wind-direction", "wind-speed", "noise", "cv")
+FIELD = ("x", "y", "q", "tau", "wind-direction", "wind-speed", "noise", "cv", "puff-rate", "puff-share")
+INTERMITTENCY = {"cv", "puff-rate", "puff-share"}
 
 
 def test_flags_scripts_and_the_estimator_know_the_same_assumptions() -> None:
@@ -33,22 +47,34 @@ def test_in_the_field_what_is_told_is_the_middle_of_a_prior() -> None:
     config = Config(rate=250.0, lifetime=8.0, assume="field")
     assert config.unknowns == FIELD
     rows = config.prior_rows
-    assert rows.shape == (13, 5)
-    assert [math.exp(rows[index, 1]) for index in (Q, TAU, WIND_SPEED, NOISE)] == pytest.approx(
-        [250.0, 8.0, 1.0, 1.0]
+    assert rows.shape == (15, 5)
+    assert [math.exp(rows[index, 1]) for index in (Q, TAU, WIND_SPEED, NOISE, PUFF_RATE)] == pytest.approx(
+        [250.0, 8.0, 1.0, 1.0, 100.0]
     )
     assert rows[WIND_DIRECTION, 1] == 0.0
     assert (rows[CV, 3], rows[CV, 4]) == (0.0, 3.0)  # a normal prior around 0 that cannot go below it
+    assert rows[PUFF_SHARE, 1:].tolist() == [0.02, 1.0, 0.02, 1.0]
     assert rows[D, :2].tolist() == [0.0, 4.5]  # known: it is redundant to the others
 
 
 @pytest.mark.parametrize(
-    ("sensor", "lacks"), [(GAUSSIAN, set()), (Threshold(), {"cv"}), (Hits(), {"noise", "cv"})]
+    ("sensor", "lacks"),
+    [(GAUSSIAN, set()), (Threshold(), INTERMITTENCY), (Hits(), {"noise"} | INTERMITTENCY)],
 )
 def test_noise_and_intermittency_are_unknown_for_the_sensors_that_have_them(
     sensor: Sensor, lacks: set[str]
 ) -> None:
     assert set(Config(assume="field", sensor=sensor).unknowns) == set(FIELD) - lacks
+
+
+def test_gas_is_steady_only_if_it_has_no_cv_of_its_own_and_infinitely_many_puffs() -> None:
+    assert not Config().intermittent
+    assert not Config(assume="field", sensor=Hits()).intermittent
+    for priors in ({"cv": Fixed(0.5)}, {"cv": Normal(0.0, 1.0)}, {"puff-rate": Fixed(1e6)}):
+        assert Config(priors=priors).intermittent
+        assert Config(priors={"puff-rate": Fixed(math.inf), **priors}).intermittent
+    known = {"cv": Fixed(0.0), "puff-rate": Fixed(math.inf)}
+    assert not Config(assume="field", priors=known).intermittent
 
 
 def test_what_is_known_has_the_value_of_a_faultless_measurement() -> None:
@@ -60,6 +86,8 @@ def test_what_is_known_has_the_value_of_a_faultless_measurement() -> None:
             "gain": [0.0, 1.0],
             "noise": [0.0, 1.0],
             "cv": [0.0, cv],
+            "puff-rate": [0.0, math.inf],
+            "puff-share": [0.0, 0.2],
         }
 
 
@@ -69,6 +97,7 @@ def test_what_is_known_has_the_value_of_a_faultless_measurement() -> None:
         ({"q": Fixed(300.0)}, "q", Fixed(300.0)),
         ({"tau": Uniform(5.0, 15.0)}, "tau", Uniform(5.0, 15.0)),
         ({"cv": Fixed(0.4)}, "cv", Fixed(0.4)),
+        ({"puff-rate": Fixed(40.0)}, "puff-rate", Fixed(40.0)),
         ({"gain": LogNormal(1.0, 0.2)}, "gain", LogNormal(1.0, 0.2)),
         ({"d": Gamma(4.0, 1.0)}, "d", Gamma(4.0, 1.0)),
     ],

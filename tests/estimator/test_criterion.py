@@ -116,7 +116,7 @@ def test_by_default_it_is_the_spread_and_the_messages_say_so() -> None:
     assert (stop(said, config).stop, stop(said, config).threshold) == ("spread:2", 2.0)
     assert (
         belief(
-            posterior_of([[10.0, 11.0]] * 2 + [[1.0, 1.0]] * 6, [1.0, 1.0]), READING, Config(assume="field")
+            posterior_of([[10.0, 11.0]] * 2 + [[1.0, 1.0]] * 8, [1.0, 1.0]), READING, Config(assume="field")
         )[0].assume
         == "field"
     )

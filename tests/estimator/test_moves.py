@@ -202,6 +202,8 @@ def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: S
         "tau": (5, 20),
         "wind-speed": (0.5, 2),
         "cv": (0.1, 2),
+        "puff-rate": (10, 400),
+        "puff-share": (0.05, 1),
     }
     start = np.array([rng.uniform(*near[name], count) for name in config.unknowns])
     targets, how = targets_of(start, config, readings), (readings, config.model, 1, SEED, 0)
@@ -261,7 +263,12 @@ def test_correlated_unknowns_stay_posterior_at_the_ends_of_their_support() -> No
 
 @pytest.mark.parametrize(
     ("prior", "of"),
-    [(Uniform(100.0, 200.0), "q"), (LogNormal(1.0, 1.0), "cv"), (Normal(0.0, 1.2), "cv")],
+    [
+        (Uniform(100.0, 200.0), "q"),
+        (LogNormal(1.0, 1.0), "cv"),
+        (Normal(0.0, 1.2), "cv"),
+        (Uniform(0.02, 1.0), "puff-share"),
+    ],
     ids=str,
 )
 def test_moves_stay_in_the_support(prior: Prior, of: str) -> None:

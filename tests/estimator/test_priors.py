@@ -24,7 +24,11 @@ FIELD: dict[str, Prior] = {
     "gain": LogNormal(2.0, 0.3),
     "noise": LogNormal(1.0, 0.4),
     "cv": Normal(0.0, 1.2),
+    "puff-rate": LogNormal(100.0, 2.0),
+    "puff-share": Uniform(0.02, 1.0),
 }
+SPREADS = {"wind-speed": (1.0, 0.5), "gain": (2.0, 0.3), "noise": (1.0, 0.4), "puff-rate": (100.0, 2.0)}
+"""Median and sigma of those that are log-normal."""
 
 
 def drawn(config: Config) -> dict[str, np.ndarray]:
@@ -64,21 +68,35 @@ def test_all_eight_are_drawn_from_their_priors() -> None:
 
 def test_what_a_measurement_gets_wrong_is_drawn_from_its_priors() -> None:
     values = drawn(Config(particles=40_000, priors=FIELD))
-    assert tuple(values) == ("x", "y", "wind-direction", "wind-speed", "gain", "noise", "cv")
+    assert tuple(values) == (
+        "x",
+        "y",
+        "wind-direction",
+        "wind-speed",
+        "gain",
+        "noise",
+        "cv",
+        "puff-rate",
+        "puff-share",
+    )
     assert values["wind-direction"].std() == pytest.approx(20.0, abs=4 * 20 / math.sqrt(2 * 40_000))
-    for name, median, sigma in (("wind-speed", 1.0, 0.5), ("gain", 2.0, 0.3), ("noise", 1.0, 0.4)):
+    for name, (median, sigma) in SPREADS.items():
         logarithms = np.log(values[name] / median)
         # 4 standard errors: σ/√n of the mean, σ/√(2n) of the standard deviation; half lie below the median:
         # ½/√n.
         assert logarithms.mean() == pytest.approx(0.0, abs=4 * sigma / 200)
         assert logarithms.std() == pytest.approx(sigma, abs=4 * sigma / math.sqrt(2 * 40_000))
         assert np.mean(values[name] < median) == pytest.approx(0.5, abs=4 * 0.5 / 200)
-        # The mean is that of a log-normal variable, median · exp(σ²/2), not the median.
-        assert values[name].mean() == pytest.approx(median * math.exp(sigma**2 / 2), rel=4 * 0.6 / 200)
+        # The mean is that of a log-normal variable, median · exp(σ²/2), not the median; it errs by √(exp(σ²) −
+        # 1) of itself by √n.
+        error = math.sqrt(math.expm1(sigma**2)) / 200
+        assert values[name].mean() == pytest.approx(median * math.exp(sigma**2 / 2), rel=4 * error)
     # Half-normal, cut off at 3, which is 2.5 standard deviations: mean 1.2 √(2/π) (1 − exp(−3.125))/(2 Φ(2.5)
     # − 1) = 0.92690
     assert 0 <= values["cv"].min() < values["cv"].max() <= 3.0
     assert values["cv"].mean() == pytest.approx(0.92690, abs=4 * 0.7 / 200)
+    assert 0.02 <= values["puff-share"].min() < values["puff-share"].max() <= 1.0
+    assert values["puff-share"].mean() == pytest.approx(0.51, abs=4 * 0.29 / 200)
 
 
 def test_a_log_normal_intermittency_is_cut_off_too() -> None:
@@ -100,6 +118,8 @@ def test_the_kernels_table_holds_the_logarithm_of_a_log_normals_median() -> None
         [0, 1],
         [0, 1],
         [0, 0],
+        [0, math.inf],
+        [0, 0.2],
     ]  # a faultless anemometer and sensor, steady gas
 
 

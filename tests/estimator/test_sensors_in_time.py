@@ -10,9 +10,11 @@ import pytest
 from estimator.filter import Config, assimilate, prior
 from estimator.kernels.checks import log_likelihood_of_one_value
 from estimator.kernels.densities import log_likelihoods
+from estimator.priors import Fixed, Prior
 from link.bus.mavlink import Reading
 from plume.sensors.instruments import INSTRUMENTS, METHANE_PPM
 from plume.sensors.names import parse, sensor_row
+from tests.estimator.test_kernels import of_puffs
 
 WIND = (1.5, -0.5)
 RATE, DIFFUSIVITY, LIFETIME = 250.0, 3.0, 10.0
@@ -114,6 +116,71 @@ def test_a_saturated_reading_has_the_probability_of_all_beyond() -> None:
     std = math.sqrt((0.1 * value) ** 2 + 0.2**2)
     beyond = 0.5 * math.erfc((limit - value) / std / math.sqrt(2))
     assert of_the_source("pid", (15.4, 12.0, limit)) == pytest.approx(math.log(beyond), abs=1e-3)
+
+
+def densities_of_the_source(
+    sensor: str, priors: dict[str, Prior], place: tuple[float, float], values: np.ndarray
+) -> np.ndarray:
+    """Those of values (Z,) at a place, one step after a reading of 3 at another; where the sensor is saturated,
+    the probability.
+    """
+    config = Config(
+        rate=RATE, diffusivity=DIFFUSIVITY, lifetime=LIFETIME, sensor=parse(sensor), priors=priors
+    )
+    row = config.row(Reading(0, (14.0, 12.0), 5.0, WIND, 3.0), None)
+    row = config.row(Reading(1, place, 5.0, WIND, 1.0), row)
+    result = np.empty(len(values))
+    for i, value in enumerate(values.tolist()):
+        row[5] = value
+        result[i] = log_likelihoods(np.array(SOURCE)[:, None], config.model, row)[0]
+    return np.exp(result)
+
+
+@pytest.mark.parametrize("sensor", ["pid", "pid:rise=0,decay=0", "tdlas"])
+@pytest.mark.parametrize(
+    "priors",
+    [
+        {"cv": Fixed(1.0)},
+        {"cv": Fixed(0.5), "puff-rate": Fixed(20.0)},
+        {"cv": Fixed(0.0), "puff-rate": Fixed(3.0)},
+    ],
+    ids=["even", "both", "puffs"],
+)
+@pytest.mark.parametrize("place", [(15.4, 12.0), (14.0, 13.0)])
+def test_in_intermittent_gas_readings_below_saturation_and_beyond_are_one_in_all(
+    sensor: str, priors: dict[str, Prior], place: tuple[float, float]
+) -> None:
+    limit = float(np.float32(INSTRUMENTS[sensor.partition(":")[0]].saturation))
+    values = np.append(np.linspace(-6.0, limit - 1e-6, 3001), limit)
+    *below, beyond = densities_of_the_source(sensor, priors, place, values)
+    assert beyond > 0.01
+    # The probability beyond is summed over shares of the gas, and right to about 0.01.
+    assert np.trapezoid(below, values[:-1]) + beyond == pytest.approx(1.0, abs=0.015)
+
+
+@pytest.mark.parametrize(("cv", "rate"), [(1.0, math.inf), (0.5, 20.0), (0.0, 3.0)])
+def test_of_a_sensor_that_lags_only_fresh_gas_is_intermittent(cv: float, rate: float) -> None:
+    """The mean and the variance of a reading: what is left of the one before keeps."""
+    priors: dict[str, Prior] = {"cv": Fixed(cv), "puff-rate": Fixed(rate), "puff-share": Fixed(0.2)}
+    values = np.concatenate([np.linspace(-6.0, 20.0, 4001), np.geomspace(20.0, 3000.0, 3001)[1:]])
+    fresh = gas(14.0, 13.0) * (1 - math.exp(-2.0 / 1.3))
+    steady = densities_of_the_source("pid:saturation=1e6", {"noise": Fixed(1.0)}, (14.0, 13.0), values)
+    older = float(np.trapezoid(values * steady, values)) - fresh
+    density = densities_of_the_source("pid:saturation=1e6", priors, (14.0, 13.0), values)
+    assert np.trapezoid(density, values) == pytest.approx(1.0, abs=0.002)
+    mean = float(np.trapezoid(values * density, values))
+    assert mean == pytest.approx(older + fresh, rel=0.003)
+    # The square of the gas's cv: cv² and Campbell's variance of puffs (test_kernels.py).
+    config = Config(rate=RATE, diffusivity=DIFFUSIVITY, lifetime=LIFETIME)
+    puffs = of_puffs(
+        config, {"puff-share": 0.2, "puff-rate": rate}, np.array([-1.0, 1.0, 0.0]), np.array(WIND)
+    )
+    square, blank = cv**2 + float(puffs), 0.4 * cv**2 / (1 + cv**2)
+    # The noise is 0.1 of all gas that is there; of a blank, of the mean.
+    noise = (1 - blank) * older**2 + 2 * older * fresh + (1 + square) * fresh**2 + blank * mean**2
+    variance = square * fresh**2 + 0.01 * noise + 0.04
+    found = np.trapezoid((values - mean) ** 2 * density, values)
+    assert found == pytest.approx(variance, rel=0.01)
 
 
 def test_readings_at_saturation_are_no_value_that_a_faulty_sensor_repeats() -> None:
