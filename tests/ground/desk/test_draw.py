@@ -19,7 +19,7 @@ from scene.scene import Measurement
 from sitl.__main__ import main
 
 RECORD = Path(__file__).parents[2] / "golden" / "homing-gaussian-field.mcap"
-"""26 readings."""
+"""27 readings."""
 
 
 def drawn(*words: str) -> int:
@@ -89,7 +89,7 @@ def test_an_interrupt_leaves_what_was_there_and_nothing_half_written(
 @pytest.mark.parametrize(
     ("words", "error"),
     [
-        (["--at", "40"], "error: --at: 40 is not allowed; wanted steps of the log, 0 to 25\n"),
+        (["--at", "40"], "error: --at: 40 is not allowed; wanted steps of the log, 0 to 26\n"),
         (["--at", "1,2,3,4,5,6"], "error: --at: 6 steps are not allowed; wanted at most 5\n"),
         (
             ["--gif", "/proc/a.gif"],

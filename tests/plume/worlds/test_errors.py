@@ -169,10 +169,16 @@ def test_a_threshold_meets_intermittent_gas_too() -> None:
 def test_an_intermittent_sensor_meets_its_own_gas_where_the_world_says_nothing_of_it() -> None:
     sensor = Gaussian(0.3, 0.2, 1.5)
     m = formula(PLACE, RELEASE.source, RELEASE.q, RELEASE.u, RELEASE.phi, RELEASE.d, RELEASE.tau)
-    for name, cv, noise in (("as-modelled", 1.5, 1), ("noise-doubled", 1.5, 2), ("cv-0.6", 0.6, 1)):
-        assert within(
-            readings(name, sensor), m, math.sqrt((noise * 0.3 * m) ** 2 + (noise * 0.2) ** 2 + (cv * m) ** 2)
-        )
+    # Noise goes with the gas that is there, 1 + cv² times as much in square on average, and with that of the mean
+    # in blanks.
+    squares = 1 + 1.5**2 + 0.4 * 1.5**2 / (1 + 1.5**2)
+    for name, cv, noise, more in (
+        ("as-modelled", 1.5, 1, squares),
+        ("noise-doubled", 1.5, 2, squares),
+        ("cv-0.6", 0.6, 1, 1.0),
+    ):
+        variance = (noise * 0.3 * m) ** 2 * more + (noise * 0.2) ** 2 + (cv * m) ** 2
+        assert within(readings(name, sensor), m, math.sqrt(variance))
     expected = float(sensor.measure(m, keyed(1, "sensor", 0)))
     assert readings("as-modelled", sensor, 1)[0] == pytest.approx(expected, rel=1e-6)
 
