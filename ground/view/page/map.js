@@ -59,7 +59,7 @@ export class WorldMap {
     drawReadings(g, view, readings(model));
     drawWaypoint(g, view, scene);
     if (scene.estimate) drawEstimate(g, view, scene.estimate);
-    if (scene.truth) drawSource(g, view, scene.truth.source);
+    for (const source of scene.truth ? [scene.truth.source, scene.truth.second] : []) if (source) drawSource(g, view, source);
     if (isPlaced(scene.craft)) drawCraft(g, view, scene.craft);
     g.restore();
     this.canvas.setAttribute("aria-label", inWords(scene));
