@@ -57,17 +57,20 @@ SHOWN = "spread:0.5"
 """The stop of the table of worlds: the default one."""
 DEFAULT, LEARNED = "homing", "ppo"
 """The policies of the tables."""
+BEYOND_THE_MODEL = ("cv-1-correlated", "source-beyond", "two-sources", "stuck", "stuck-noisy")
+"""Worlds that `field` does not model, or in which no source can be found."""
 HOLDS = {
     "paper": (AS_MODELLED, "readings-lost", "source-outside"),
     "field": (
         AS_MODELLED,
-        *(name for name in WRONG if name not in ("cv-1-correlated", "stuck", "stuck-noisy")),
+        *(name for name in WRONG if name not in BEYOND_THE_MODEL),
     ),
 }
 """The worlds whose truth lies in an assumption, by its name."""
 LONG = (
     "ceased",
     "located",
+    "outside",
     "false_stop",
     "false_stop_warned",
     "mtd_m",
@@ -208,7 +211,7 @@ def worlds(said: Said, rows: Rows) -> str:
             false_stop(world, "paper", DEFAULT),
             false_stop(world, "field", DEFAULT),
             figure(world, "field", DEFAULT, "false_stop_warned"),
-            figure(world, "field", DEFAULT, "ceased", "located"),
+            figure(world, "field", DEFAULT, "ceased", "located", "outside"),
             " / ".join(figure(world, assume, DEFAULT, "mtd_m") for assume in ("paper", "field")),
             figure(world, "field", DEFAULT, "nees_mean"),
             false_stop(world, "field", LEARNED),
@@ -222,7 +225,7 @@ def worlds(said: Said, rows: Rows) -> str:
         "paper: false, %",
         "field: false, %",
         "warned",
-        "ceased / located",
+        "ceased / located / outside",
         "MTD p / f, m",
         "NEES",
         f"{LEARNED}: false, %",

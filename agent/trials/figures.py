@@ -18,6 +18,7 @@ LARGEST = 2_000_000  # values that the bootstrap draws at once, at most: a limit
 COLUMNS = {
     "ceased": ("ceased, %", 100.0, 1),
     "located": ("located, %", 100.0, 1),
+    "outside": ("outside, %", 100.0, 1),
     "false_stop": ("false stop, %", 100.0, 1),
     "mtd_m": ("MTD, m", 1.0, 1),
     "mtd_floors": ("MTD, floors", 1.0, 2),

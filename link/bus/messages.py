@@ -61,7 +61,7 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         tuple[str, ...],
         Meta(
             description="names of the particle array's columns, of x y z q u phi d tau wind-direction "
-            "wind-speed gain noise cv"
+            "wind-speed gain noise cv puff-rate puff-share"
         ),
     ]
     means: Annotated[tuple[float, ...], Meta(description="mean of each unknown")]
