@@ -39,6 +39,11 @@ class Release:
         it = scenario
         return cls(it.source, it.wind, it.q, it.d, it.tau, it.height, it.second)
 
+    @property
+    def sources(self) -> list[Point]:
+        """The sources: one, or two."""
+        return [self.source, *([self.second] if self.second else [])]
+
     def gas(self, area_m: float, cells: int) -> Floats:
         """Return the mean gas in the search plane, g/m³, at the centres of cells.
 
@@ -47,7 +52,7 @@ class Release:
         axis = (np.arange(cells) + 0.5) * (area_m / cells)
         x, y = np.meshgrid(axis, axis)
         places, gas = np.stack([x, y, np.zeros_like(x)], axis=-1), np.zeros_like(x)
-        for source in filter(None, (self.source, self.second)):
+        for source in self.sources:
             gas += concentration(
                 places,
                 (*source, self.height),
