@@ -34,7 +34,7 @@ export class WorldMap {
     if (!this.width || !scene) return;
     const side = Math.max(40, Math.min(this.width - LEFT - RIGHT, this.height - TOP - BOTTOM));
     const left = LEFT + Math.floor((this.width - LEFT - RIGHT - side) / 2), top = TOP;
-    const edge = Math.max(scene.area_m * MARGIN, 1.25 * beyond(scene)), scale = side / (scene.area_m + 2 * edge);
+    const edge = Math.max(scene.area_m * MARGIN, 1.5 * beyond(scene)), scale = side / (scene.area_m + 2 * edge);
     const view = {
       side, left, top, scale,
       x: (m) => left + (m + edge) * scale,
