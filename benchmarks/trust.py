@@ -43,7 +43,6 @@ MOVING = (
     "walls:file=courtyard",
 )
 """Worlds whose gas moves: the truth is near to what `field` assumes, but lies not in it."""
-HOVERING = "2 s of dwell"
 HOVERING = "gaussian:dwell=2"
 INSTRUMENTS = ("pid", "tdlas", "tgs2600")
 """They hover as long as docs/sensors.md recommends, which is their usual dwell."""
@@ -224,6 +223,11 @@ def worlds(said: Said, rows: Rows) -> str:
         row = said.get((assume, name, world, SHOWN))
         return UNKNOWN if row is None else cell(row, "false_stop")
 
+    def median(world: str) -> str:
+        of = rows.get(("field", DEFAULT, world), {}).get(SHOWN, [])
+        ceased = [row.nees for row in of if row.ceased and not row.outside]
+        return f" ({np.median(ceased):.1f})" if ceased else ""
+
     flown = {world for _, _, world, _ in said}
     lines = [
         [
@@ -233,7 +237,7 @@ def worlds(said: Said, rows: Rows) -> str:
             figure(world, "field", DEFAULT, "false_stop_warned"),
             figure(world, "field", DEFAULT, "ceased", "located", "outside"),
             " / ".join(figure(world, assume, DEFAULT, "mtd_m") for assume in ("paper", "field")),
-            figure(world, "field", DEFAULT, "nees_mean"),
+            figure(world, "field", DEFAULT, "nees_mean") + median(world),
             false_stop(world, "field", LEARNED),
             distances.get(world, UNKNOWN),
         ]
@@ -247,7 +251,7 @@ def worlds(said: Said, rows: Rows) -> str:
         "warned",
         "ceased / located / outside",
         "MTD p / f, m",
-        "NEES",
+        "NEES (median)",
         f"{LEARNED}: false, %",
         f"{' / '.join(names)}, m",
     ]
