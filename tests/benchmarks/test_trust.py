@@ -133,7 +133,7 @@ def test_the_table_of_worlds_says_what_is_counted_by_hand() -> None:
     assert head.count("|") == lines[0].count("|")
     third = "33.3 [6.1, 79.2]"  # Wilson of 1 in 3
     assert lines == [
-        "| as-modelled | – | – | – | 0.0 / 0.0 | – / – | – | – | – |",
+        "| as-modelled | – | – | – | 0.0 / 0.0 / 0.0 | – / – | – | – | – |",
         f"| wind-10 | {third} | {third} | 100 | 75.0 / 50.0 | 40.0 / 40.0 | 1.40 | {third} | 40.0 (50%) / 40.0 (50%) |",
     ]
 
