@@ -31,6 +31,8 @@ from estimator.criterion import Criterion
 from link import cli
 from link.files import whole
 from plume.scenario import AS_MODELLED
+from plume.sensors.names import GAUSSIAN, parse
+from plume.sensors.names import text as sensor_text
 from plume.worlds.errors import WRONG
 from plume.worlds.names import check, separate
 
@@ -41,7 +43,15 @@ MOVING = (
     "walls:file=courtyard",
 )
 """Worlds whose gas moves: the truth is near to what `field` assumes, but lies not in it."""
-WORLDS = (AS_MODELLED, *WRONG, *MOVING)
+HOVERING = "gaussian:dwell=2"
+INSTRUMENTS = ("pid", "tdlas", "tgs2600")
+"""They hover as long as docs/sensors.md recommends, which is their usual dwell."""
+WITH = {f"{world} with 2 s of dwell": (world, sensor_text(parse(HOVERING))) for world in MOVING} | {
+    f"{world} with {name}": (world, name)
+    for world, name in product((AS_MODELLED, "puffs:share=0.2"), INSTRUMENTS)
+}
+"""Worlds that are flown with another sensor, too, by what the tables call that: world and sensor."""
+WORLDS = (AS_MODELLED, *WRONG, *MOVING, *WITH)
 RESULTS = ROOT / "results" / "trust"
 PAGE = ROOT / "docs" / "trust.md"
 FIGURES = "figures.csv"
@@ -57,17 +67,20 @@ SHOWN = "spread:0.5"
 """The stop of the table of worlds: the default one."""
 DEFAULT, LEARNED = "homing", "ppo"
 """The policies of the tables."""
+BEYOND_THE_MODEL = ("cv-1-correlated", "source-beyond", "two-sources", "stuck", "stuck-noisy")
+"""Worlds that `field` does not model, or in which no source can be found."""
 HOLDS = {
     "paper": (AS_MODELLED, "readings-lost", "source-outside"),
     "field": (
         AS_MODELLED,
-        *(name for name in WRONG if name not in ("cv-1-correlated", "stuck", "stuck-noisy")),
+        *(name for name in WRONG if name not in BEYOND_THE_MODEL),
     ),
 }
 """The worlds whose truth lies in an assumption, by its name."""
 LONG = (
     "ceased",
     "located",
+    "outside",
     "false_stop",
     "false_stop_warned",
     "mtd_m",
@@ -89,8 +102,10 @@ def fly(cell: Cell, seeds: range, workers: int) -> tuple[list[MissionRow], Path]
     """Fly the missions of a cell as `evaluate` does; returns their rows, and the journal that an
     interrupted call leaves.
     """
-    assume, name, world = cell
-    sweep = Sweep((name,), seeds, (PARTICLES,), STOPS, BUDGET, knowledge={"assume": assume}, worlds=(world,))
+    assume, name, label = cell
+    world, sensor = WITH.get(label, (label, sensor_text(GAUSSIAN)))
+    known = {"assume": assume, "sensor": parse(sensor)}
+    sweep = Sweep((name,), seeds, (PARTICLES,), STOPS, BUDGET, knowledge=known, worlds=(world,))
     journal = journal_of(sweep, KEPT_IN)
     return flown(sweep, journal, on_cores(workers), f"missions of {', '.join(cell)}", "starting"), journal
 
@@ -100,18 +115,25 @@ def read(results: Path) -> Rows:
     rows: Rows = {}
     for path in sorted(results.glob("*.csv.gz")):
         for row in read_csv(path):
-            rows.setdefault((row.assume, row.policy, row.world), {}).setdefault(row.criterion, []).append(row)
+            flown = row.assume, row.policy, label_of(row)
+            rows.setdefault(flown, {}).setdefault(row.criterion, []).append(row)
     return rows
+
+
+def label_of(row: MissionRow) -> str:
+    """Return the name of a row's world in the tables, which says its sensor if it has another one."""
+    labels = {flown: label for label, flown in WITH.items()}
+    return labels.get((row.world, row.sensor), row.world)
 
 
 def keep(results: Path, flown: Cell, rows: Sequence[MissionRow]) -> None:
     """Write the rows of a cell. They replace its earlier rows; those of other worlds in the file stay."""
-    assume, name, world = flown
+    assume, name, label = flown
     path = results / f"{assume}-{Path(name).name}.csv.gz"
     results.mkdir(parents=True, exist_ok=True)
-    there = [row for row in read_csv(path) if row.world != world] if path.exists() else []
+    there = [row for row in read_csv(path) if label_of(row) != label] if path.exists() else []
     rank = {name: i for i, name in enumerate(WORLDS)}
-    write_csv(sorted([*there, *rows], key=lambda row: rank[row.world]), path)
+    write_csv(sorted([*there, *rows], key=lambda row: rank[label_of(row)]), path)
 
 
 def is_there(rows: Rows, flown: Cell, seeds: range) -> bool:
@@ -201,6 +223,11 @@ def worlds(said: Said, rows: Rows) -> str:
         row = said.get((assume, name, world, SHOWN))
         return UNKNOWN if row is None else cell(row, "false_stop")
 
+    def median(world: str) -> str:
+        of = rows.get(("field", DEFAULT, world), {}).get(SHOWN, [])
+        ceased = [row.nees for row in of if row.ceased and not row.outside]
+        return f" ({np.median(ceased):.1f})" if ceased else ""
+
     flown = {world for _, _, world, _ in said}
     lines = [
         [
@@ -208,9 +235,9 @@ def worlds(said: Said, rows: Rows) -> str:
             false_stop(world, "paper", DEFAULT),
             false_stop(world, "field", DEFAULT),
             figure(world, "field", DEFAULT, "false_stop_warned"),
-            figure(world, "field", DEFAULT, "ceased", "located"),
+            figure(world, "field", DEFAULT, "ceased", "located", "outside"),
             " / ".join(figure(world, assume, DEFAULT, "mtd_m") for assume in ("paper", "field")),
-            figure(world, "field", DEFAULT, "nees_mean"),
+            figure(world, "field", DEFAULT, "nees_mean") + median(world),
             false_stop(world, "field", LEARNED),
             distances.get(world, UNKNOWN),
         ]
@@ -222,9 +249,9 @@ def worlds(said: Said, rows: Rows) -> str:
         "paper: false, %",
         "field: false, %",
         "warned",
-        "ceased / located",
+        "ceased / located / outside",
         "MTD p / f, m",
-        "NEES",
+        "NEES (median)",
         f"{LEARNED}: false, %",
         f"{' / '.join(names)}, m",
     ]
@@ -302,7 +329,7 @@ def main() -> int:
     )
     several = (
         ("--assume", cli.listed(cli.checked(_is_assumption)), HOLDS),
-        ("--world", cli.listed(cli.checked(check, WORLDS), separate), WORLDS),
+        ("--world", cli.listed(cli.checked(_is_world, WORLDS), separate), WORLDS),
         ("--policy", cli.listed(cli.checked(policy)), (DEFAULT, LEARNED)),
     )
     for flag, kind, usual in several:
@@ -367,6 +394,11 @@ def write(results: Path, document: Path) -> None:
     text = page(document.read_text(), rows, said)
     with whole(document) as partial:
         partial.write_text(text)
+
+
+def _is_world(name: str) -> None:
+    if name not in WITH:
+        check(name)
 
 
 def _is_assumption(text: str) -> None:

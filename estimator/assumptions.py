@@ -42,6 +42,10 @@ PUFF_SHARES = (0.02, 1.0)
 # greater one true gusts count as spikes, and a search in intermittent gas takes longer.
 SPIKES: Mapping[str, float] = {"paper": 0.0, "field": 0.05}
 
+# A leak may be beyond the fence: the source may be up to this share of the area's side beyond its edges.
+# There a place is less likely (`plume.parameters.BEYOND`): all of them together 22%.
+MARGIN: Mapping[str, float] = {"paper": 0.0, "field": 1 / 3}
+
 # Absolute priors of the wind: the measured value is then ignored, so an error of its measurement means
 # nothing.
 REPLACED = {"u": "wind-speed", "phi": "wind-direction"}
@@ -81,6 +85,11 @@ def effective_priors(
         if absolute in given:
             priors.pop(relative, None)
     return priors | dict(given)
+
+
+def margin(assume: str, area_m: float) -> float:
+    """Return how far beyond the edges of an area with this side the source may be, m."""
+    return MARGIN[assume] * area_m
 
 
 def _check(given: Mapping[str, Prior], sensor: Sensor) -> None:

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from estimator.belief import evidence, fit, locates, may_claim, sure_enough
+from estimator.belief import evidence, fit, locates, may_claim, share_outside, sure_enough
 from estimator.filter import Config, Posterior, prior
 from estimator.kernels.densities import Model
 from estimator.kernels.update import WeightedSample, update_missions
@@ -115,7 +115,12 @@ class Batch:
         spread = math.sqrt(covariance[0, 0] + covariance[1, 1])
         located = locates(self.posterior(mission), spread, self.means[mission], config)
         stds = dict(zip(config.unknowns, np.sqrt(covariance.diagonal()).tolist(), strict=True))
-        return sure_enough(located, stds, config) and self.may_claim(mission)
+        outside = self.share_outside(mission)
+        return sure_enough(located, outside, stds, config) and self.may_claim(mission)
+
+    def share_outside(self, mission: int) -> float:
+        """Return the share of the mission's belief outside the area."""
+        return share_outside(self.posterior(mission), self._configs[mission])
 
     def posterior(self, mission: int) -> Posterior:
         """Return one mission's posterior, which changes with the batch."""

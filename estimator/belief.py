@@ -14,6 +14,7 @@ from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles, Stop
 from plume.elementary import Array, direction
 from plume.parameters import PARAMETERS
+from plume.scenario import SURE_OUTSIDE
 
 RECENT = 30  # recent readings in the test of whether they fit the model
 FEWEST = 8  # with fewer readings the test has no power: the p-value is 1
@@ -46,6 +47,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     spread = math.sqrt(xx + yy)
     located = locates(posterior, spread, unknown_means, config)
     p_value, better = fit(posterior, config), evidence(posterior, config)
+    outside = share_outside(posterior, config)
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
         step=len(posterior.readings) - 1,
@@ -67,10 +69,12 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         effective_sample_size=effective_sample_size(posterior.weights),
         p_value=p_value,
         evidence=better,
-        wind_p_value=one_wind(posterior, config),
-        ceased=may_claim(p_value, better, len(posterior.readings)) and sure_enough(located, std, config),
+        ceased=may_claim(p_value, better, len(posterior.readings))
+        and sure_enough(located, outside, std, config),
         assume=config.assume,
         stop=config.criterion.text,
+        outside=outside,
+        wind_p_value=one_wind(posterior, config),
     )
     particles = np.empty((posterior.particles.shape[1], len(unknown_means) + 1), np.float32, order="F")
     particles[:, :-1] = posterior.particles.T
@@ -124,7 +128,9 @@ def met(posterior: Posterior, said: Belief, config: Config) -> bool:
     """Whether this belief meets the stop criterion of `config`, even if it was computed under another."""
     located = locates(posterior, said.spread, np.array(said.means), config)
     stds = dict(zip(said.unknowns, said.stds, strict=True))
-    return may_claim(said.p_value, said.evidence, said.step + 1) and sure_enough(located, stds, config)
+    return may_claim(said.p_value, said.evidence, said.step + 1) and sure_enough(
+        located, said.outside, stds, config
+    )
 
 
 def warning(said: Belief, config: Config) -> tuple[str, str] | None:
@@ -191,14 +197,27 @@ def share_within(radius_m: float, posterior: Posterior, means: Array, config: Co
     return float(weights[squares <= radius_m * radius_m].sum() / weights.sum())
 
 
-def sure_enough(located: bool, stds: Mapping[str, float], config: Config) -> bool:
-    """True if the stop criterion is met.
+def share_outside(posterior: Posterior, config: Config) -> float:
+    """Return the share of the belief's weight outside the area."""
+    if config.margin == 0:
+        return 0.0
+    outside = np.zeros(len(posterior.weights), bool)
+    for row, name in zip(posterior.particles, config.unknowns, strict=True):
+        if name in ("x", "y"):
+            outside |= (row < 0) | (row > config.area_m)
+    return float(posterior.weights[outside].sum() / posterior.weights.sum())
 
-    The location is known (`locates`), if required, and standard deviations are below their limits.
+
+def sure_enough(located: bool, outside: float, stds: Mapping[str, float], config: Config) -> bool:
+    """True if the stop criterion is met, or the source is outside the area, where no search can meet it.
+
+    The criterion is met where the location is known (`locates`), if required, and standard deviations are
+    below their limits.  outside: as of `share_outside`.
     """
-    return (located or not config.stop_on_location) and all(
+    met = (located or not config.stop_on_location) and all(
         stds[name] < limit for name, limit in config.stop_limits.items()
     )
+    return met or outside >= SURE_OUTSIDE
 
 
 def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[float, float]:
@@ -229,4 +248,5 @@ def stop(ceased: Belief, config: Config) -> Stop:
         spread=ceased.spread,
         threshold=0.0 if config.within else config.threshold_m,
         stop=config.criterion.text,
+        outside=ceased.outside,
     )

@@ -10,11 +10,11 @@ from functools import cached_property
 
 import numpy as np
 
-from estimator.assumptions import SPIKES, effective_priors
+from estimator.assumptions import SPIKES, effective_priors, margin
 from estimator.criterion import Criterion
 from estimator.kernels.densities import Model, log_priors
 from estimator.kernels.update import WeightedSample, update
-from estimator.priors import Prior, Uniform, draw, table
+from estimator.priors import Prior, draw, table
 from link.bus.mavlink import Reading
 from plume.elementary import Array, Indices
 from plume.flight import leg_s
@@ -46,9 +46,12 @@ class Config:
     diffusivity: float = 4.5  # d, m²/s, unless it has a prior
     lifetime: float = LIFETIME_S  # τ, s, unless it has a prior
     area_m: float = AREA_M  # side of the square search area, m
+    # How far beyond the area's edges the source may be, m; None is a third of `area_m` under `field`, else 0.
+    margin_m: float | None = None
     # Priors by name of `PARAMETERS`, which replace those of `assume` one by one. x and y are uniform over the
-    # area by default. Without a prior, the source's height z is the flight height, and wind speed u and
-    # direction φ are those measured. With a prior, the measured value is ignored.
+    # area by default, and less dense in the margin around it. Without a prior, the source's height z is the
+    # flight height, and wind speed u and direction φ are those measured. With a prior, the measured value is
+    # ignored.
     priors: Mapping[str, Prior] = field(default_factory=dict)
     sensor: Sensor = GAUSSIAN
     # True if a stop requires the location to be known: the spread below ζ, or `within`.
@@ -98,10 +101,14 @@ class Config:
     @cached_property
     def prior_rows(self) -> Array:
         """(15, 5): the priors as the kernels take them."""
-        everywhere = Uniform(0.0, self.area_m)
         cv = self.sensor.cv if isinstance(self.sensor, Gaussian) else 0.0
         known = {"q": self.rate, "d": self.diffusivity, "tau": self.lifetime, "z": 0.0, **NEUTRAL, "cv": cv}
-        return table({"x": everywhere, "y": everywhere, **self.effective_priors}, known, self.area_m)
+        return table(self.effective_priors, known, self.area_m, self.margin)
+
+    @property
+    def margin(self) -> float:
+        """How far beyond the area's edges the source may be, m."""
+        return margin(self.assume, self.area_m) if self.margin_m is None else self.margin_m
 
     @cached_property
     def unknown_indices(self) -> Indices:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from estimator import criterion
-from estimator.assumptions import effective_priors, unknowns
+from estimator.assumptions import effective_priors, margin, unknowns
 from estimator.priors import Fixed, Prior, draw, parse, table
 from link import cli
 from plume.parameters import PARAMETERS
@@ -58,7 +58,7 @@ def criteria(args: argparse.Namespace) -> list[criterion.Criterion]:
 
 
 def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any]:
-    """Return the fields of `Config` that --assume, --prior, --stop-on and --sensor set.
+    """Return the fields of `Config` that --assume, --prior, --margin, --stop-on and --sensor set.
 
     `area_m` is the side of the area. Raises ValueError with what is allowed.
     """
@@ -68,7 +68,8 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
         for text in args.prior:
             name, prior = parse(text)
             if not isinstance(prior, Fixed):
-                rows, index = table({name: prior}, {}, area_m), np.array([PARAMETERS.index(name)])
+                margin_m = margin(args.assume, area_m) if args.margin is None else args.margin
+                rows, index = table({name: prior}, {}, area_m, margin_m), np.array([PARAMETERS.index(name)])
                 draw(rows, index, TRIED, keyed(0, "trial"))
             priors[name] = prior
         unknown = unknowns(effective_priors(args.assume, priors, 1.0, 1.0, assumed))
@@ -91,6 +92,7 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
         )
     return {
         "priors": priors,
+        "margin_m": args.margin,
         "stop_limits": dict(limits),
         "stop_on_location": "location" in wanted,
         "sensor": assumed,

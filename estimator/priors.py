@@ -7,7 +7,21 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 
 from plume.elementary import Array, Indices, exp, log
-from plume.parameters import GAMMA, GREATEST_CV, KNOWN, LOGNORMAL, MEASURED, MOST, NORMAL, PARAMETERS, UNIFORM
+from plume.parameters import (
+    AROUND,
+    BEYOND,
+    GAMMA,
+    GREATEST_CV,
+    KNOWN,
+    LOGNORMAL,
+    MEASURED,
+    MOST,
+    NORMAL,
+    PARAMETERS,
+    UNIFORM,
+    X,
+    Y,
+)
 from plume.randomness import standard_gamma, standard_normal
 
 SMALLEST = 1e-6  # lower bound of a positive parameter under every prior, so that it stays above 0
@@ -108,10 +122,12 @@ def parse(text: str) -> tuple[str, Prior]:
     return name, prior
 
 
-def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
+def support(name: str, prior: Prior, area_m: float, margin_m: float) -> tuple[float, float]:
     """Return the ends of a parameter's range under its prior. Raises ValueError if there is no range."""
-    low = SMALLEST if name in POSITIVE else 0.0 if name in ("x", "y", "u", "cv") else -MOST
-    high = area_m if name in ("x", "y") else MOST_OF.get(name, MOST)
+    low = SMALLEST if name in POSITIVE else 0.0 if name in ("u", "cv") else -MOST
+    high = MOST_OF.get(name, MOST)
+    if name in ("x", "y"):
+        low, high = 0.0 - margin_m, area_m + margin_m
     match prior:
         case Uniform(a, b):
             low, high = max(low, a), min(high, b)
@@ -126,23 +142,27 @@ def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
     return low, high
 
 
-def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float) -> Array:
+def table(
+    priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float, margin_m: float = 0.0
+) -> Array:
     """Return the priors as the kernels take them, (15, 5): kind, two numbers, ends of the support.
 
     The numbers of LOGNORMAL are log median and sigma. A parameter in neither `priors` nor `known` (u, φ) is
-    measured.
+    measured. Without a prior, x and y are uniform over the area, [0, area_m], and BEYOND times as dense up
+    to margin_m beyond its edges.
     """
     rows = np.zeros((len(PARAMETERS), 5))
+    anywhere = (AROUND if margin_m else UNIFORM), 0.0, area_m, 0.0 - margin_m, area_m + margin_m
     for index, name in enumerate(PARAMETERS):
         match priors.get(name, Fixed(known[name]) if name in known else None):
             case None:
-                rows[index] = MEASURED, 0, 0, 0, 0
+                rows[index] = anywhere if index in (X, Y) else (MEASURED, 0, 0, 0, 0)
             case Fixed(value):
                 rows[index] = KNOWN, value, 0, value, value
             case LogNormal(median, sigma) as prior:
-                rows[index] = LOGNORMAL, float(log(median)), sigma, *support(name, prior, area_m)
+                rows[index] = LOGNORMAL, float(log(median)), sigma, *support(name, prior, area_m, margin_m)
             case prior:
-                rows[index] = FAMILIES[type(prior)], *astuple(prior), *support(name, prior, area_m)
+                rows[index] = FAMILIES[type(prior)], *astuple(prior), *support(name, prior, area_m, margin_m)
     return rows
 
 
@@ -161,10 +181,9 @@ def draw(rows: Array, unknowns: Indices, count: int, rng: np.random.Generator) -
     result = np.empty((len(unknowns), count))
     for row, index in enumerate(unknowns):
         kind, a, b, low, high = rows[index]
-        if kind == UNIFORM:
-            result[row] = low + (np.arange(count) / math.prod([ratio] * (row + 1)) + shift[row]) % 1.0 * (
-                high - low
-            )
+        if kind in (UNIFORM, AROUND):
+            even = (np.arange(count) / math.prod([ratio] * (row + 1)) + shift[row]) % 1.0
+            result[row] = low + even * (high - low) if kind == UNIFORM else _around(even, a, b, high - b)
             continue
         missing = np.arange(count)
         for _ in range(MOST_DRAWS):  # redraw values outside the support
@@ -180,6 +199,14 @@ def draw(rows: Array, unknowns: Indices, count: int, rng: np.random.Generator) -
         else:
             raise ValueError(f"the prior of {PARAMETERS[index]} excludes nearly every possible value")
     return result
+
+
+def _around(even: Array, low: float, high: float, margin_m: float) -> Array:
+    """Return draws of the prior AROUND from even ones in [0, 1), by inversion."""
+    side = high - low
+    along = even * (side + 2 * BEYOND * margin_m) - BEYOND * margin_m
+    beyond = along - np.clip(along, 0.0, side)
+    return np.asarray(low + along + beyond * (1 / BEYOND - 1))
 
 
 def text(name: str, prior: Prior) -> str:

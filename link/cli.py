@@ -258,9 +258,16 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
         action="append",
         default=[],
         metavar="NAME=KIND:NUMBERS",
-        help="prior of one of x y z q u phi d tau wind-direction wind-speed gain noise cv, instead of the "
-        "assumption's, such as "
+        help="prior of one of x y z q u phi d tau wind-direction wind-speed gain noise cv puff-rate "
+        "puff-share, instead of the assumption's, such as "
         "q=gamma:2,150 u=normal:2.5,0.5 tau=uniform:5,15 z=fixed:1.5; may be repeated",
+    )
+    parser.add_argument(
+        "--margin",
+        type=number(0, 100_000),
+        metavar="M",
+        help="how far beyond the edges of the area the source may be, m; there it is less likely (default: a "
+        "third of the area's side under field, else 0)",
     )
     parser.add_argument(
         "--stop-on",

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M, Scenario
+from plume.scenario import AREA_M, AS_MODELLED, SUCCESS_RADIUS_M, SURE_OUTSIDE, Scenario
 
 
 class TracePoint(msgspec.Struct, frozen=True):
@@ -42,6 +42,45 @@ class Outcome(msgspec.Struct, frozen=True):
     assume: str  # what the estimator took to be known
     stop: str  # the stop criterion, in the form of --stop
     world: str = AS_MODELLED
+    outside: bool = False  # the stop says that the source is outside the area, and that is not false
+    outside_share: float = 0.0  # of the belief, at the end
+    outside_to: str = ""  # where the estimate is outside: north, north-east, …
+
+
+def verdict(
+    ceased: bool,
+    estimate: tuple[float, float],
+    source: tuple[float, float] | None,
+    outside_share: float,
+    area_m: float = AREA_M,
+) -> str:
+    """Return how a search has ended.
+
+    It is `located`, `outside`, `FALSE STOP`, `ceased` where nobody knows the source, or `not ceased`. A stop
+    with most of the belief outside the area (SURE_OUTSIDE) claims only that the source is outside, and is
+    false if that is inside and further from the estimate than the success radius.
+    """
+    if not ceased:
+        return "not ceased"
+    says_outside = outside_share >= SURE_OUTSIDE
+    if source is None:
+        return "outside" if says_outside else "ceased"
+    if math.dist(estimate, source) <= SUCCESS_RADIUS_M:
+        return "outside" if says_outside else "located"
+    return "outside" if says_outside and beyond(source, area_m) else "FALSE STOP"
+
+
+def beyond(place: tuple[float, float], area_m: float = AREA_M) -> str:
+    """Return beyond which edges of the area a place is: north, north-east, …; empty if it is inside."""
+    x, y = place
+    north = "north" if y > area_m else "south" if y < 0 else ""
+    east = "east" if x > area_m else "west" if x < 0 else ""
+    return "-".join(filter(None, (north, east)))
+
+
+def outside_text(outside_share: float, to: str) -> str:
+    """Return the claim that the source is outside, in words."""
+    return f"outside{f', to the {to}' if to else ''} ({100 * outside_share:.0f}%)"
 
 
 def outcome(
@@ -54,20 +93,24 @@ def outcome(
     assume: str,
     stop: str,
     world: str = AS_MODELLED,
+    outside_share: float = 0.0,
+    area_m: float = AREA_M,
 ) -> Outcome:
     """Judge a mission by its true scenario, None if it is not known, and its trace.
 
-    The trace's first point is the reading before any move.
+    The trace's first point is the reading before any move.  outside_share: of the last belief.
     """
     last = trace[-1]
-    error_m = math.dist(last.mean, scenario.source) if scenario else None
+    source = scenario.nearest(last.mean) if scenario else None
+    ended = verdict(ceased, last.mean, source, outside_share, area_m)
+    error_m = math.dist(last.mean, source) if source else None
     return Outcome(
         seed=seed,
         policy=policy,
         ceased=ceased,
-        located=None if error_m is None else ceased and error_m <= SUCCESS_RADIUS_M,
+        located=None if error_m is None else ended == "located",
         estimate=last.mean,
-        source=scenario.source if scenario else None,
+        source=source,
         scenario=scenario,
         error_m=error_m,
         spread_m=last.spread,
@@ -79,6 +122,9 @@ def outcome(
         assume=assume,
         stop=stop,
         world=world,
+        outside=ended == "outside",
+        outside_share=outside_share,
+        outside_to=beyond(last.mean, area_m),
     )
 
 
@@ -96,11 +142,11 @@ def outcome_json(
 
 def outcome_text(result: Outcome) -> str:
     """Four lines for people, each within 60 characters; three if the source is not known."""
-    verdict = (
-        "not ceased"
-        if not result.ceased
-        else {True: "located", False: "FALSE STOP", None: "ceased"}[result.located]
-    )
+    ended = "not ceased"
+    if result.outside:
+        ended = f"{outside_text(result.outside_share, result.outside_to)},"
+    elif result.ceased:
+        ended = {True: "located", False: "FALSE STOP", None: "ceased"}[result.located]
     x, y = result.estimate
     source = (
         f"source   ({result.source[0]:.2f}, {result.source[1]:.2f}), error {result.error_m:.2f} m\n"
@@ -108,7 +154,7 @@ def outcome_text(result: Outcome) -> str:
         else ""
     )
     return (
-        f"{verdict} after {result.steps} steps, {result.distance_m:.1f} m\n"
+        f"{ended} after {result.steps} steps, {result.distance_m:.1f} m\n"
         f"estimate ({x:.2f}, {y:.2f}) ± {result.spread_m:.2f} m\n"
         f"{source}{assumed_text(result.assume, result.stop, result.world)}"
     )

@@ -36,8 +36,9 @@ NEUTRAL = {
     **{"puff-rate": math.inf, "puff-share": 0.2},
 }
 # Kinds of knowledge about a parameter: known value, family of its prior, or measured with each reading
-# (wind).
-KNOWN, UNIFORM, NORMAL, GAMMA, MEASURED, LOGNORMAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
+# (wind). AROUND is uniform over an interval, and less dense beyond its ends.
+KNOWN, UNIFORM, NORMAL, GAMMA, MEASURED, LOGNORMAL, AROUND = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0
+BEYOND = 0.2  # density beyond the ends of AROUND, as a share of that between them
 # A sensor as compiled loops take it is a row, which `plume.sensors.names.sensor_row` fills in: its kind; α or
 # e; β or b; threshold; p_m.
 GAUSSIAN_KIND, THRESHOLD_KIND, HITS_KIND = 0.0, 1.0, 2.0

@@ -14,6 +14,8 @@ STEP_M = 1.0  # length of one move, m
 BUDGET_STEPS = 300  # most moves of a mission; the paper states no budget
 # A stop counts as located if the estimate is this close to the source, m; the paper states none.
 SUCCESS_RADIUS_M = 1.0
+# A stop claims that the source is outside the area if at least this share of the belief is.
+SURE_OUTSIDE = 0.95
 AS_MODELLED = "as-modelled"  # the world that matches what the estimator assumes
 # τ, s. Table 1 states none; the paper's illustration has 10 s.
 LIFETIME_S = 10.0
@@ -34,12 +36,24 @@ class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
     tau: float  # lifetime of the gas, s
     start: tuple[float, float]  # where the search begins, m
     height: float = 0.0  # height of the source above the search plane, m
+    second: tuple[float, float] | None = None  # another source like it, (x, y) m
 
     @property
     def wind(self) -> tuple[float, float]:
         """(u cos φ, u sin φ), m/s: points to where the wind comes from; the air moves the other way."""
         cosine, sine = direction(self.phi / math.tau)
         return self.u * float(cosine), self.u * float(sine)
+
+    def nearest(self, place: tuple[float, float]) -> tuple[float, float]:
+        """Return the source that is nearest to a place, (x, y) m: a find may be of either."""
+        return nearest(place, self.source, self.second)
+
+
+def nearest(
+    place: tuple[float, float], source: tuple[float, float], second: tuple[float, float] | None
+) -> tuple[float, float]:
+    """Return the one of two sources, if there are two, that is nearest to a place, (x, y) m."""
+    return second if second and math.dist(place, second) < math.dist(place, source) else source
 
 
 def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
-from matplotlib.patches import Ellipse, FancyArrowPatch
+from matplotlib.patches import Ellipse, FancyArrowPatch, Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
@@ -176,7 +176,8 @@ class Drawing:
         """
         self._backdrop = scene.backdrop
         self._is_print = bool(beliefs)
-        self._room = [float(max(steps, 1)), 0.5, 10.0]  # of the charts: steps, gas below 0, gas
+        # Of the charts: steps, gas below 0, gas; and of the map, m around the area.
+        self._room = [float(max(steps, 1)), 0.5, 10.0, 0.0]
         self._still: Any = None  # the picture without what changes; None while it is not up to date
         with matplotlib.rc_context(STYLE):
             self.figure = Figure(figsize=SIZE_IN, dpi=FRAME_DPI)
@@ -229,9 +230,10 @@ class Drawing:
         self.map.grid(visible=False)
         self.map.spines[["top", "right"]].set_visible(True)
         shades = plume(self.map, release, side_m) if release else ScalarMappable(LogNorm(*GAS), PLUME)
-        if release:
-            self.map.plot(*release.source, **SOURCE)
-        self.map.set(xlim=(0, side_m), ylim=(0, side_m), aspect="equal", xlabel="east, m", ylabel="north, m")
+        for source in release.sources if release else ():
+            self.map.plot(*source, **SOURCE)
+        self.map.add_patch(Rectangle((0, 0), side_m, side_m, fill=False, color=INK, linewidth=1))
+        self.map.set(aspect="equal", xlabel="east, m", ylabel="north, m")
         bar = self.figure.colorbar(shades, cax=self.figure.add_axes((0.475, MAP[1], 0.014, 0.5)))
         bar.set_label("gas, mean and measured, g/m³" if release else "gas measured, g/m³")
         ticks(bar.ax.yaxis, (0.1, 1, 10, 100))
@@ -261,17 +263,22 @@ class Drawing:
         self._lay_limits()
 
     def _lay_limits(self) -> None:
-        steps, below, above = self._room
+        steps, below, above, around_m = self._room
+        ends = -around_m, self._backdrop.area_m + around_m
+        self.map.set(xlim=ends, ylim=ends)
         for chart in (self.spread, self.gas):
             chart.set_xlim(-0.02 * steps, 1.02 * steps)
         self.gas.set_ylim(-1.2 * below, 1.6 * above)
         self._still = None
 
     def _make_room(self, scene: Scene) -> None:
-        """Widen the charts if a scene has more steps or more gas than fits."""
+        """Widen charts and map if a scene has more steps or gas, or an estimate further out, than fits."""
         gas = [it.gas for it in scene.measurements if math.isfinite(it.gas)]
         steps = [it.step for it in scene.measurements]
-        needed = max(steps, default=0), -min(gas, default=0.0), max(gas, default=0.0)
+        release, side_m = self._backdrop.release, self._backdrop.area_m
+        places = [*(it.estimate for it in scene.measurements[-1:]), *(release.sources if release else ())]
+        beyond_m = max((max(-along, along - side_m) for place in places for along in place), default=0.0)
+        needed = max(steps, default=0), -min(gas, default=0.0), max(gas, default=0.0), beyond_m
         room = [had if need <= had else 2.0 * need for had, need in zip(self._room, needed, strict=True)]
         if room != self._room:
             self._room = room

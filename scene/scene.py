@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.dispersion import concentration
-from plume.scenario import AREA_M, SUCCESS_RADIUS_M, Scenario
+from plume.outcome import beyond, outside_text, verdict
+from plume.scenario import AREA_M, SURE_OUTSIDE, Scenario, nearest
 
 Point = tuple[float, float]  # (x, y) m
 Floats = NDArray[np.float32]
@@ -30,11 +31,18 @@ class Release:
     d: float
     tau: float
     height: float = 0.0
+    second: Point | None = None  # another source like it
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Release":
         """Return what there is to see of a scenario."""
-        return cls(scenario.source, scenario.wind, scenario.q, scenario.d, scenario.tau, scenario.height)
+        it = scenario
+        return cls(it.source, it.wind, it.q, it.d, it.tau, it.height, it.second)
+
+    @property
+    def sources(self) -> list[Point]:
+        """The sources: one, or two."""
+        return [self.source, *([self.second] if self.second else [])]
 
     def gas(self, area_m: float, cells: int) -> Floats:
         """Return the mean gas in the search plane, g/m³, at the centres of cells.
@@ -43,16 +51,18 @@ class Release:
         """
         axis = (np.arange(cells) + 0.5) * (area_m / cells)
         x, y = np.meshgrid(axis, axis)
-        gas = concentration(
-            np.stack([x, y, np.zeros_like(x)], axis=-1),
-            (*self.source, self.height),
-            self.wind,
-            rate=self.q,
-            diffusivity=self.d,
-            lifetime=self.tau,
-        )
+        places, gas = np.stack([x, y, np.zeros_like(x)], axis=-1), np.zeros_like(x)
+        for source in self.sources:
+            gas += concentration(
+                places,
+                (*source, self.height),
+                self.wind,
+                rate=self.q,
+                diffusivity=self.d,
+                lifetime=self.tau,
+            )
         with np.errstate(over="ignore"):  # a record may say absurd things of its source
-            return gas.astype(np.float32)
+            return np.asarray(gas, np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +156,7 @@ class Happening:
 class Ending:
     """How the search ended."""
 
-    verdict: str  # `located`, `FALSE STOP`, `ceased` where the truth is not known, or `not ceased`
+    verdict: str  # as of `plume.outcome.verdict`
     text: str  # a line or more for people
 
 
@@ -177,18 +187,25 @@ class Scene:
         return None
 
 
-def judged(step: int, estimate: Point, spread_m: float, release: Release | None) -> Ending:
+def judged(
+    step: int,
+    estimate: Point,
+    spread_m: float,
+    outside_share: float,
+    release: Release | None,
+    area_m: float = AREA_M,
+) -> Ending:
     """Return how a search that was stopped has ended.
 
-    Only a simulation can tell whether the stop is right.
+    Only a simulation can tell whether the stop is right.  outside_share: of the belief.
     """
-    words = f"source found at ({estimate[0]:.2f}, {estimate[1]:.2f}) ± {spread_m:.2f} m after {step} steps"
-    if release is None:
-        return Ending("ceased", words)
-    error_m = math.dist(estimate, release.source)
-    return Ending(
-        "located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP", f"{words}; error {error_m:.2f} m"
-    )
+    at = f"({estimate[0]:.2f}, {estimate[1]:.2f}) ± {spread_m:.2f} m after {step} steps"
+    said = outside_text(outside_share, beyond(estimate, area_m))
+    words = f"source {said}, near {at}" if outside_share >= SURE_OUTSIDE else f"source found at {at}"
+    source = nearest(estimate, release.source, release.second) if release else None
+    if source:
+        words += f"; error {math.dist(estimate, source):.2f} m"
+    return Ending(verdict(True, estimate, source, outside_share, area_m), words)
 
 
 def ellipse(covariance: tuple[float, float, float]) -> tuple[float, float, float]:

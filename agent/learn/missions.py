@@ -12,7 +12,7 @@ from estimator.filter import Config
 from plume.elementary import Array, Indices
 from plume.flight import TRY_AGAIN_S, profile
 from plume.randomness import Keyed, derived_seed
-from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M, draw
+from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M, SURE_OUTSIDE, draw
 from plume.worlds.world import World, readings_of
 from scene.scene import Measurement, Scatter
 
@@ -43,11 +43,12 @@ class Missions:
         self.distances_m = np.zeros(count)
         self.times_s = np.zeros(count)  # of each mission's own clock
         self.spreads_m = np.empty(count)
+        self.outside = np.zeros(count)  # share of each belief outside the area
         self.ceased = np.zeros(count, np.bool_)
         self.frames = np.empty((count, 3))  # of the observations, in which actions are given
         self.observations = np.empty((count, self._schema.size), np.float32)
         self.facts = np.empty((count, len(observation.FACTS)))  # what is known of each mission
-        self._sources = np.empty((count, 2))
+        self._sources = np.empty((2, count, 2))  # the second is the first where there is none
         self._noise = Keyed()
         self._world = world
         # For judging and showing only.
@@ -83,9 +84,10 @@ class Missions:
 
     @property
     def located(self) -> NDArray[np.bool_]:
-        """Whether the estimate is within the success radius; for judging only."""
-        errors_m: Array = np.sqrt(np.square(self.estimates - self._sources).sum(axis=1))
-        return errors_m <= SUCCESS_RADIUS_M
+        """Whether the estimate is within the success radius, and not said to be outside; for judging only."""
+        offsets = self.estimates - self._sources  # (2, B, 2)
+        errors_m: Array = np.sqrt(np.square(offsets).sum(axis=2)).min(axis=0)
+        return (errors_m <= SUCCESS_RADIUS_M) & (self.outside < SURE_OUTSIDE)
 
     def measurement(self, mission: int) -> Measurement:
         """Return a mission's newest reading and the belief after it.
@@ -121,7 +123,8 @@ class Missions:
         scenario = world.scenario
         self.steps[mission], self.times_s[mission], self.distances_m[mission] = 0, 0.0, 0.0
         self.ceased[mission] = False
-        self.positions[mission], self._sources[mission] = world.start, world.truth.source
+        self.positions[mission] = world.start
+        self._sources[:, mission] = world.truth.source, world.truth.second or world.truth.source
         known = (scenario.q, scenario.d, scenario.tau)
         self.facts[mission, observation.RATE : observation.LIFETIME + 1] = known
         criterion, its_seed = self._criterion, derived_seed(seed, "estimator")
@@ -161,8 +164,10 @@ class Missions:
         facts[missions, observation.XX : observation.WIND_X] = covariances.reshape(-1, 4)[:, [0, 1, 3]]
         self.spreads_m[missions] = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
         self.ceased[missions] = False
+        self.outside[missions] = [self._batch.share_outside(mission) for mission in missions.tolist()]
         narrow = self.spreads_m[missions] < self._criterion.threshold_m
-        for mission in missions[narrow | bool(self._criterion.within)].tolist():
+        near = narrow | (self.outside[missions] >= SURE_OUTSIDE)
+        for mission in missions[near | bool(self._criterion.within)].tolist():
             self.ceased[mission] = self._batch.has_ceased(mission)
         totals = self._batch.weights.sum(axis=1)
 

@@ -72,12 +72,12 @@ class Onlooker:
             wind=world.wind,
             stop=self._stop,
             assume=self._assume,
-            ending=self._ending(last, release),
+            ending=self._ending(last, float(missions.outside[i]), release),
         )
 
-    def _ending(self, last: Measurement, release: Release) -> Ending | None:
+    def _ending(self, last: Measurement, outside_share: float, release: Release) -> Ending | None:
         if last.ceased:
-            return judged(last.step, last.estimate, last.spread_m, release)
+            return judged(last.step, last.estimate, last.spread_m, outside_share, release)
         return (
             Ending("not ceased", f"the budget of {last.step} steps is spent")
             if last.step >= self._budget

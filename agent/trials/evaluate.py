@@ -39,6 +39,7 @@ CUT_OFF = "\0"  # stands for a value that a line of a table lacks
 SHOWN = {
     "ceased": (3, "ceased"),
     "located": (0, "located"),
+    "outside": (1, "outside"),
     "false_stop": (1, "false stop"),
     "mtd_m": (2, "MTD"),
     "mtd_floors": (4, "MTD in floors"),
@@ -330,6 +331,7 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
         *(
             Column(COLUMNS[key][0], [cell(row, key) for row in said], rank, name, stacks=True)
             for key, (rank, name) in SHOWN.items()
+            if key != "outside" or any(row[key] for row in said)
         ),
     ]
     tell(table(columns, width_of(stream), elsewhere, above=[", ".join([*shared, "[95% interval]"])]), stream)

@@ -18,6 +18,7 @@ LARGEST = 2_000_000  # values that the bootstrap draws at once, at most: a limit
 COLUMNS = {
     "ceased": ("ceased, %", 100.0, 1),
     "located": ("located, %", 100.0, 1),
+    "outside": ("outside, %", 100.0, 1),
     "false_stop": ("false stop, %", 100.0, 1),
     "mtd_m": ("MTD, m", 1.0, 1),
     "mtd_floors": ("MTD, floors", 1.0, 2),
@@ -72,6 +73,13 @@ class MissionRow(msgspec.Struct, frozen=True):
     # Whether the estimator warned, at any reading up to this end, that a stop would not be honest; False in
     # older files.
     warned: bool = False
+    margin_m: float = 0.0  # how far beyond the area's edges the source could be
+    outside: bool = False  # the stop said that the source is outside the area, and that is not false
+
+    @property
+    def false_stop(self) -> bool:
+        """Ceased with a false claim."""
+        return self.ceased and not self.located and not self.outside
 
     @property
     def flight(self) -> tuple[str, int, int, str]:
@@ -147,7 +155,7 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
     defines are None.
     """
     ceased = [row for row in rows if row.ceased]
-    wrong = [row for row in ceased if not row.located]
+    wrong = [row for row in ceased if row.false_stop]
 
     def mean_of(name: str) -> Interval:
         return bootstrap(np.array([getattr(row, name) for row in ceased]))
@@ -159,7 +167,8 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
 
     intervals = {
         "ceased": wilson(len(ceased), len(rows)),
-        "located": wilson(len(ceased) - len(wrong), len(rows)),
+        "located": wilson(sum(row.located for row in ceased), len(rows)),
+        "outside": wilson(sum(row.outside for row in ceased), len(rows)),
         "false_stop": wilson(len(wrong), len(ceased)),
         "false_stop_warned": wilson(sum(row.warned for row in wrong), len(wrong)),
         "mtd_m": mean_of("distance_m"),

@@ -23,7 +23,7 @@ ALTITUDE_M = 5.0
 OWN_MOVES: Mapping[str, float] = MappingProxyType({})  # the planner's own moves
 # Fields of `Config` that may be given for a mission; the others have arguments of their own, or come from the
 # scenario.
-FURTHER = ("area_m", "priors", "sensor", "stop_on_location", "stop_limits")
+FURTHER = ("area_m", "margin_m", "priors", "sensor", "stop_on_location", "stop_limits")
 
 
 class Step(NamedTuple):
@@ -137,7 +137,7 @@ def rollout(
             when at least 99% of the belief is
             within 1 m of the estimate.
         knowledge: Further fields of `plumeward.Config`: `sensor`, `priors`, `stop_limits`,
-            `stop_on_location` and `area_m`.
+            `stop_on_location`, `area_m` and `margin_m`.
 
     Returns:
         The outcome, and a trace of one point for each reading, the first of them before any move. Lengths
@@ -165,5 +165,15 @@ def rollout(
         trace.append(TracePoint(said.position, said.gas, said.mean, said.spread))
         search_time_s += step.update_s + step.decision_s
     return outcome(
-        seed, policy, flown.scenario, trace, said.ceased, search_time_s, said.assume, said.stop, world
+        seed,
+        policy,
+        flown.scenario,
+        trace,
+        said.ceased,
+        search_time_s,
+        said.assume,
+        said.stop,
+        world,
+        said.outside,
+        flown.config.area_m,
     ), trace

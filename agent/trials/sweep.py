@@ -29,7 +29,8 @@ from estimator.filter import Config
 from estimator.priors import text as prior_text
 from link.bus.messages import Belief
 from plume import __version__
-from plume.scenario import AS_MODELLED, BUDGET_STEPS, STEP_M, SUCCESS_RADIUS_M
+from plume.outcome import verdict
+from plume.scenario import AS_MODELLED, BUDGET_STEPS, STEP_M
 from plume.sensors.names import GAUSSIAN, text
 
 PACKAGES = ("plume", "link", "scene", "estimator", "agent")
@@ -141,7 +142,7 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
             ceased,
             stop in warned,
             said,
-            scenario.source,
+            scenario.nearest(said.mean),
             distance_m,
             floor_m,
             updates_s,
@@ -181,13 +182,14 @@ def row_of(
     """Return the row of a mission that has been flown."""
     policy, particles, seed, world = flight
     error_m = math.dist(last.mean, source)
+    ended = verdict(ceased, last.mean, source, last.outside, config.area_m)
     return MissionRow(
         policy=policy,
         particles=particles,
         threshold_m=None if config.within else config.threshold_m,
         seed=seed,
         ceased=ceased,
-        located=ceased and error_m <= SUCCESS_RADIUS_M,
+        located=ended == "located",
         estimate_x=last.mean[0],
         estimate_y=last.mean[1],
         source_x=source[0],
@@ -205,6 +207,7 @@ def row_of(
         version=__version__,
         world=world,
         warned=warned,
+        outside=ended == "outside",
         **settings(sweep, policy, config),
     )
 
@@ -222,6 +225,7 @@ def settings(sweep: Sweep, policy: str, config: Config) -> dict[str, Any]:
         "prior": " ".join(prior_text(name, prior) for name, prior in config.priors.items()) or None,
         "stop_on": ",".join(["location"] * config.stop_on_location + limits),
         "assume": config.assume,
+        "margin_m": config.margin,
     }
 
 

@@ -8,6 +8,7 @@ import numba
 import numpy as np
 
 from estimator.kernels.spikes import spike_density
+from plume import elementary
 from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
@@ -24,6 +25,8 @@ from plume.kernels import (
 )
 from plume.numerics import HALF_LOG_2PI, erfc, exp, log, log1p, log_gamma
 from plume.parameters import (
+    AROUND,
+    BEYOND,
     CLEAN,
     DWELL,
     GAMMA,
@@ -41,6 +44,7 @@ from plume.parameters import (
 )
 from plume.response import LEG_SHARES, follow, gas_means, is_direct, kept_of, lags, settle
 
+LOG_BEYOND = float(elementary.log(BEYOND))
 FUSED = 8  # readings whose densities are added together: products of 8 variances neither overflow nor vanish
 
 
@@ -404,6 +408,8 @@ def log_prior(particles: Array, i: int, model: Model) -> float:
         kind, a, b = model.priors[index, 0], model.priors[index, 1], model.priors[index, 2]
         if kind == NORMAL:
             total -= 0.5 * ((value - a) / b) ** 2
+        elif kind == AROUND:
+            total += 0.0 if a <= value <= b else LOG_BEYOND
         elif kind == GAMMA:
             total += (a - 1) * log(value) - value / b
         elif kind == LOGNORMAL:

@@ -33,6 +33,7 @@ class Estimator(_Settings, frozen=True):
     threshold: float | None = None
     stop: Plain | None = None
     stop_on: Plain | None = None
+    margin: float | None = None
     sensor: Plain | None = None
     rate: float | None = None
     diffusivity: float | None = None

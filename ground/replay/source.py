@@ -38,6 +38,7 @@ FILTER_FLAGS = (
     "stop",
     "prior",
     "stop_on",
+    "margin",
     "rate",
     "diffusivity",
     "lifetime",

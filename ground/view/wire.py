@@ -66,7 +66,7 @@ def packed(
     header = _header(scene, sent) | {
         "number": number,
         "published_ms": published_ms,
-        "truth": None if shown is None else {"source": shown.source},
+        "truth": None if shown is None else {"sources": shown.sources},
         "arrays": [{**about, "shape": array.shape} for about, array in arrays],
     }
     sent.measurements, sent.happenings = len(scene.measurements), len(scene.happenings)

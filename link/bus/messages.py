@@ -22,6 +22,9 @@ Step = Annotated[
         description="number of the reading, 0 at the start; equals the number of moves before it",
     ),
 ]
+Outside = Annotated[
+    float, Meta(ge=0, le=1, description="share of the belief that lies outside the search area")
+]
 Particles = NDArray[np.float32]
 """(N, D + 1): a column for each unknown of the belief, by default x and y, then the weights, of sum 1."""
 
@@ -58,7 +61,7 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         tuple[str, ...],
         Meta(
             description="names of the particle array's columns, of x y z q u phi d tau wind-direction "
-            "wind-speed gain noise cv"
+            "wind-speed gain noise cv puff-rate puff-share"
         ),
     ]
     means: Annotated[tuple[float, ...], Meta(description="mean of each unknown")]
@@ -91,6 +94,7 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "value plus noise"
         ),
     ] = 0.0
+    outside: Outside = 0.0
     wind_p_value: Annotated[
         float,
         Meta(
@@ -115,6 +119,7 @@ class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Meta(ge=0, description="ζ, the spread below which the search stops, m; 0 with another criterion"),
     ]
     stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread"
+    outside: Outside = 0.0
 
 
 class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -168,7 +173,11 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def stop_text(stop: Stop) -> str:
     """Return a stop in words."""
     (x, y), spread = stop.estimate, stop.spread
-    return f"the search has ceased at step {stop.step}: source at ({x:.2f}, {y:.2f}) m, spread {spread:.2f} m"
+    outside = f", {100 * stop.outside:.0f}% of the belief outside the area" if stop.outside >= 0.005 else ""
+    return (
+        f"the search has ceased at step {stop.step}: source at ({x:.2f}, {y:.2f}) m, spread {spread:.2f} m"
+        f"{outside}"
+    )
 
 
 def pack_particles(particles: Particles) -> bytes:

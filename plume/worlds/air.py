@@ -54,6 +54,18 @@ class Steady:
         return gas_of([self], places), np.broadcast_to(self.wind, (len(places), 2))
 
 
+class Both:
+    """Two releases in one air."""
+
+    def __init__(self, one: Air, other: Air) -> None:
+        self._one, self._other = one, other
+
+    def __call__(self, places: Array, times_s: Array) -> tuple[Array, Array]:
+        """Return the gas of both, and the wind, as of `Air`."""
+        (gas, winds), (more, _) = self._one(places, times_s), self._other(places, times_s)
+        return np.asarray(gas, np.float64) + np.asarray(more, np.float64), winds
+
+
 def gas_of(plumes: Sequence[Steady], places: Array) -> Array:
     """Return the gas, as of `Air`, at one place of each plume, or at all places of a single one."""
     releases = np.array([plume.release for plume in plumes])

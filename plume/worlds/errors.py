@@ -8,7 +8,7 @@ import numpy as np
 
 from plume.elementary import exp, log
 from plume.randomness import keyed, uniform
-from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
+from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M, draw
 
 SPIKED_READINGS = 30  # spikes are among so many first readings: most searches take as many
 SPIKES = 0.5, 100.0  # their least and greatest size, g/m³ or hits
@@ -24,6 +24,7 @@ class Errors(NamedTuple):
     d: float = 1.0  # factor on the diffusivity
     tau: float = 1.0  # factor on the lifetime of the gas
     source: tuple[float, float] | None = None  # the source, (x, y) m; None is where the scenario has it
+    second: tuple[float, float] | None = None  # another source like it, (x, y) m
     gain: float = 1.0  # factor on the gas that the sensor meets
     noise: float = 1.0  # factor on α and β of the sensor. A count of hits has neither, so it stays as it is.
     # Coefficient of variation of the gas, which is gamma-distributed around the plume's mean; None is that of
@@ -74,6 +75,23 @@ def outside(seed: int) -> tuple[float, float]:
     while True:
         x, y = uniform(rng, np.zeros(2), AREA_M).tolist()
         if not (SOURCE_LOW_M <= x <= SOURCE_HIGH_M and SOURCE_LOW_M <= y <= SOURCE_HIGH_M):
+            return x, y
+
+
+def beyond(seed: int) -> tuple[float, float]:
+    """Draw a source 2 to 6 m beyond one of the area's edges, (x, y) m."""
+    rng = keyed(seed, "source beyond")
+    edge, along_m, off_m = uniform(rng, np.array([0, 0, 2.0]), np.array([4, AREA_M, 6.0])).tolist()
+    across_m = -off_m if edge < 2 else AREA_M + off_m
+    return (across_m, along_m) if edge % 2 < 1 else (along_m, across_m)
+
+
+def second(seed: int) -> tuple[float, float]:
+    """Draw a place in the area that is 5 to 15 m from the source of the seed's scenario, (x, y) m."""
+    first, rng = draw(seed).source, keyed(seed, "second source")
+    while True:
+        x, y = uniform(rng, np.zeros(2), AREA_M).tolist()
+        if 5.0 <= math.dist((x, y), first) <= 15.0:
             return x, y
 
 
@@ -146,6 +164,12 @@ WRONG: dict[str, Wrong] = {
     ),
     "source-outside": Wrong(
         "the source is outside the square [10, 25]²", lambda seed: Errors(source=outside(seed))
+    ),
+    "source-beyond": Wrong(
+        "the source is 2 to 6 m beyond an edge of the area", lambda seed: Errors(source=beyond(seed))
+    ),
+    "two-sources": Wrong(
+        "a second source like the first, 5 to 15 m from it", lambda seed: Errors(second=second(seed))
     ),
     "spike": Wrong(
         "one false reading among the first 30, too high by 0.5 to 100 g/m³ or hits",

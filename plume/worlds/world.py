@@ -13,12 +13,12 @@ import numpy as np
 
 from plume.elementary import Array, direction, float32
 from plume.flight import usual_s
-from plume.randomness import Abreast, Keyed, keyed, uniform
+from plume.randomness import Abreast, Keyed, derived_seed, keyed, uniform
 from plume.scenario import AS_MODELLED, SOURCE_HIGH_M, SOURCE_LOW_M, Scenario, WorldError, draw
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import GAUSSIAN, Sensor
 from plume.sensors.sensor import Hits, Threshold
-from plume.worlds.air import Air, NoRelease, Steady, gas_of
+from plume.worlds.air import Air, Both, NoRelease, Steady, gas_of
 from plume.worlds.exposure import Before, is_timed, met
 from plume.worlds.names import Named, named
 
@@ -70,6 +70,10 @@ class World:
             tau=wrong.tau * scenario.tau,
         )
         self.air = self._released(chosen)
+        if wrong.second:
+            self.truth = msgspec.structs.replace(self.truth, second=wrong.second)
+            other = msgspec.structs.replace(self.truth, source=wrong.second)
+            self.air = Both(self.air, chosen.air(other, derived_seed(seed, "second source")))
         told = scenario.wind
         self.wind: WindVector = (float32(told[0]), float32(told[1]))
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))

@@ -228,9 +228,10 @@ class History:
     def _take_stop(self, said: Stop, time_s: float) -> bool:
         if self._endings.values:
             return False  # repeated
-        claim = said.step, said.estimate, said.spread
-        self._happened(time_s, STOPPED, "estimator", judged(*claim, None).text)
-        self._ended(time_s, judged(*claim, self.backdrop.release))
+        claim = said.step, said.estimate, said.spread, said.outside
+        area_m = self.backdrop.area_m
+        self._happened(time_s, STOPPED, "estimator", judged(*claim, None, area_m).text)
+        self._ended(time_s, judged(*claim, self.backdrop.release, area_m))
         return True
 
     def _ended(self, time_s: float, ending: Ending) -> None:

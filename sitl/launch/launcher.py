@@ -407,6 +407,7 @@ class MissionWatch:
             last.assume,
             last.stop,
             script.world,
+            last.outside,
         )
         located = bool(result.located)
         came_true = {
@@ -414,7 +415,8 @@ class MissionWatch:
             "not ceased": not result.ceased,
             "located": located,
             "not located": not located,
-            "false stop": result.ceased and not located,
+            "outside": result.outside,
+            "false stop": result.ceased and not located and not result.outside,
             "warned": heard.warned,
             "landed": heard.landed,
             "returned home": heard.at_home,

@@ -121,6 +121,7 @@ def estimator_arguments(mission: Launch) -> list[str]:
         "--stop": part.criterion,
         "--sensor": script.sensor,
         "--stop-on": part.stop_on,
+        "--margin": part.margin_m,
         "--rate": part.rate or q,
         "--diffusivity": part.diffusivity or d,
         "--lifetime": part.lifetime or tau,

@@ -28,6 +28,7 @@ FIELDS = {
     "threshold": "estimator.threshold_m",
     "prior": "estimator.prior",
     "stop_on": "estimator.stop_on",
+    "margin": "estimator.margin_m",
     "assume": "estimator.assume",
     "stop": "estimator.stop",
     "after_stop": "vehicle.after_stop",

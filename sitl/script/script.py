@@ -43,18 +43,31 @@ Positive = Annotated[float, Meta(gt=0, le=MOST)]
 Seconds = Annotated[float, Meta(ge=0, le=MOST)]
 Coordinate = Annotated[float, Meta(ge=0, le=AREA_M)]
 Point = tuple[Coordinate, Coordinate]
+Near = Annotated[float, Meta(ge=-AREA_M, le=2 * AREA_M)]
+Anywhere = tuple[Near, Near]
 # The agent receives them in one command-line argument, which the system limits to 128 kB.
 MOST_WAYPOINTS = 1000
 OLD_WORDS = {"pause": "hold", "abort": "return"}  # what older scripts call these events
 Expectation = Literal[
-    "ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"
+    "ceased",
+    "not ceased",
+    "located",
+    "not located",
+    "outside",
+    "false stop",
+    "warned",
+    "landed",
+    "returned home",
 ]
 
 
 class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The gas release; the seed draws every field that is left out."""
 
-    source: Annotated[Point | None, Meta(description="(x, y) m, x east, y north, each from 0 to 30")] = None
+    source: Annotated[
+        Anywhere | None,
+        Meta(description="(x, y) m, x east, y north, each from -30 to 60; from 0 to 30 is the area"),
+    ] = None
     q: Annotated[Rate | None, _says("q", "release rate", "g/s")] = None
     u: Annotated[WindSpeed | None, _says("u", "wind speed", "m/s")] = None
     phi: Annotated[
@@ -118,6 +131,10 @@ class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     prior: Annotated[
         dict[str, str], Meta(description="priors by name, in the format of --prior: {q: 'gamma:2,150'}")
     ] = {}
+    margin_m: Annotated[
+        Annotated[float, Meta(ge=0, le=100_000)] | None,
+        Meta(description="how far beyond the area's edges the source may be, as --margin, m"),
+    ] = None
     stop_on: Annotated[
         str, Meta(description="what must be known before a stop, in the format of --stop-on")
     ] = "location"

@@ -17,15 +17,19 @@ from agent.trials.rollout import rollout
 from benchmarks.trust import (
     HOLDS,
     STOPS,
+    WITH,
+    WORLDS,
     compared,
     is_there,
     keep,
+    label_of,
     page,
     promise,
     read,
     worlds,
     write_figures,
 )
+from plume.sensors.names import parse, text
 from plume.worlds.errors import WRONG
 
 ROOT = Path(__file__).parents[2]
@@ -180,6 +184,36 @@ def test_what_is_flown_again_takes_its_old_place_and_leaves_the_rest(tmp_path: P
     assert not is_there(again, ("field", "homing", "stuck"), range(1, 5))  # the other criteria are missing
     assert is_there(rows_of("stuck"), ("field", "homing", "stuck"), range(1, 5))
     assert not is_there(rows_of("stuck"), ("field", "homing", "stuck"), range(1, 6))
+
+
+def test_a_world_with_another_sensor_has_rows_of_its_own(tmp_path: Path) -> None:
+    """They differ from the world's other rows by the sensor, not by the world."""
+    with_pid = [replace(it, world="as-modelled", sensor="pid") for it in FOUR]
+    hovering = [
+        replace(it, world="puffs:share=0.2,meander=10", sensor="gaussian:0.3,0.2,dwell=2.0") for it in FOUR
+    ]
+    usual = [replace(it, world="as-modelled") for it in FOUR[:1]]
+    label = "puffs:share=0.2,meander=10 with 2 s of dwell"
+    assert label_of(with_pid[0]) == "as-modelled with pid"
+    assert label_of(hovering[0]) == label
+    assert label_of(usual[0]) == "as-modelled"
+    keep(tmp_path, ("field", "homing", "as-modelled with pid"), with_pid)
+    keep(tmp_path, ("field", "homing", label), hovering)
+    keep(tmp_path, ("field", "homing", "as-modelled"), usual)
+    keep(tmp_path, ("field", "homing", "as-modelled with pid"), with_pid[:3])
+    again = {cell[2]: sum(map(len, stops.values())) for cell, stops in read(tmp_path).items()}
+    assert again == {"as-modelled": 1, label: 4, "as-modelled with pid": 3}
+    assert [*again] == [world for world in WORLDS if world in again]
+    lines = worlds(said(read(tmp_path)), read(tmp_path)).splitlines()[2:]
+    assert [line.split(" | ")[0] for line in lines] == [f"| {world}" for world in again]
+
+
+def test_a_row_with_another_sensor_says_a_sensor_that_can_be_flown() -> None:
+    """As the rows say it, so that they are found again."""
+    for world, sensor in WITH.values():
+        assert text(parse(sensor)) == sensor
+        assert world in WORLDS
+    assert {parse(sensor).dwell for _, sensor in WITH.values()} == {2.0, 5.0}
 
 
 def test_the_long_table_has_a_line_for_each_assumption_policy_world_and_stop(tmp_path: Path) -> None:

@@ -45,6 +45,38 @@ def test_by_default_x_and_y_are_unknown_and_uniform_over_the_area() -> None:
     assert np.abs(counts - 160).max() < 12
 
 
+def test_under_field_the_source_may_be_outside_the_area_where_it_is_less_likely() -> None:
+    config = Config(particles=20_000, seed=3, assume="field")
+    x, y = prior(config).particles[:2]
+    # A coordinate is inside with the probability 30 / (30 + 2 · 10 · 0.2) = 15/17. A lattice is more even than
+    # chance, of which the standard error would be 0.0023.
+    for each in (x, y):
+        assert each.min() >= -10
+        assert each.max() <= 40
+        assert np.mean((each >= 0) & (each <= 30)) == pytest.approx(15 / 17, abs=0.002)
+        assert np.mean((each > 30) & (each < 35)) == pytest.approx(1 / 34, abs=0.001)
+    counts, _, _ = np.histogram2d(x, y, bins=5, range=[[0, 30], [0, 30]])
+    assert counts == pytest.approx(np.full((5, 5), 20_000 * (3 / 17) ** 2), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("more", "ends"),
+    [
+        ({"assume": "paper"}, (0, 30)),
+        ({"assume": "paper", "margin_m": 4.0}, (-4, 34)),
+        ({"assume": "field", "margin_m": 0.0}, (0, 30)),
+        ({"assume": "field", "area_m": 90.0}, (-30, 120)),
+        ({"assume": "field", "priors": {"x": Uniform(-30, 25)}}, (-10, 25)),
+    ],
+)
+def test_how_far_outside_is_the_margin(more: dict[str, object], ends: tuple[float, float]) -> None:
+    config = Config(particles=4000, **more)  # type: ignore[arg-type]
+    x = prior(config).particles[0]
+    assert (x.min(), x.max()) == pytest.approx(ends, abs=0.2)
+    assert ends[0] <= x.min()
+    assert x.max() <= ends[1]
+
+
 def test_all_eight_are_drawn_from_their_priors() -> None:
     values = drawn(Config(particles=40_000, priors=EIGHT))
     assert tuple(values) == ("x", "y", "z", "q", "u", "phi", "d", "tau")

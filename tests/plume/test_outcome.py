@@ -2,9 +2,10 @@
 
 import json
 
+import msgspec
 import pytest
 
-from plume.outcome import TracePoint, outcome, outcome_json, outcome_text
+from plume.outcome import TracePoint, beyond, outcome, outcome_json, outcome_text, verdict
 from plume.scenario import Scenario
 
 SCENARIO = Scenario(source=(3.0, 4.0), q=100.0, u=1.0, phi=0.0, d=1.0, tau=10.0, start=(0.0, 0.0))
@@ -19,6 +20,51 @@ def test_a_stop_within_a_metre_is_located_and_one_farther_off_is_not() -> None:
     near = outcome(1, "random", SCENARIO, flown((3.0, 3.1)), True, 0.1, "field", "spread:0.5")
     far = outcome(1, "random", SCENARIO, flown((3.0, 2.9)), True, 0.1, "field", "spread:0.5")
     assert (near.ceased, near.located, far.ceased, far.located) == (True, True, True, False)
+
+
+@pytest.mark.parametrize(
+    ("estimate", "source", "share", "said"),
+    [
+        ((3.0, 4.0), (3.0, 4.5), 0.0, "located"),
+        ((3.0, 4.0), (3.0, 5.5), 0.0, "FALSE STOP"),
+        ((29.5, 4.0), (32.0, 4.0), 0.94, "FALSE STOP"),  # it does not say that the source is outside
+        ((34.0, 4.0), (32.0, 4.0), 0.95, "outside"),
+        ((31.0, 4.0), (29.8, 4.0), 0.95, "FALSE STOP"),
+        ((30.5, 4.0), (29.8, 4.0), 0.95, "outside"),  # as near as any find has to be
+        ((34.0, 4.0), None, 0.95, "outside"),
+        ((34.0, 4.0), None, 0.94, "ceased"),
+    ],
+)
+def test_a_stop_with_the_belief_outside_claims_only_that(
+    estimate: tuple[float, float], source: tuple[float, float] | None, share: float, said: str
+) -> None:
+    assert verdict(True, estimate, source, share) == said
+    assert verdict(False, estimate, source, share) == "not ceased"
+
+
+def test_it_says_beyond_which_edges_the_estimate_is() -> None:
+    told = {beyond((x, y)): (x, y) for x in (-1.0, 15.0, 31.0) for y in (-1.0, 15.0, 31.0)}
+    assert told == {
+        "south-west": (-1, -1),
+        "west": (-1, 15),
+        "north-west": (-1, 31),
+        "south": (15, -1),
+        "": (15, 15),
+        "north": (15, 31),
+        "south-east": (31, -1),
+        "east": (31, 15),
+        "north-east": (31, 31),
+    }
+    result = outcome(
+        1, "random", None, flown((33.0, 34.0)), True, 0.1, "field", "spread:0.5", outside_share=0.962
+    )
+    assert outcome_text(result).startswith("outside, to the north-east (96%), after 2 steps, 2.0 m\n")
+
+
+def test_a_find_near_either_of_two_sources_is_located() -> None:
+    two = msgspec.structs.replace(SCENARIO, second=(20.0, 20.0))
+    result = outcome(1, "random", two, flown((20.0, 20.5)), True, 0.1, "field", "spread:0.5")
+    assert (result.located, result.source, result.error_m) == (True, (20.0, 20.0), 0.5)
 
 
 def test_a_mission_without_a_stop_is_not_located_however_good_its_estimate() -> None:
@@ -51,6 +97,9 @@ def test_the_json_has_the_fields_that_others_rely_on() -> None:
         "assume",
         "stop",
         "world",
+        "outside",
+        "outside_share",
+        "outside_to",
         "trace",
     }
     assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}

@@ -16,7 +16,7 @@ from plume.scenario import AS_MODELLED
 AS_GOOD = 0.01  # policies whose ceased shares differ by at most this much are compared by their MTD
 
 # Columns that must be equal in all missions of one figure.
-WAY = ("budget", "headings", "step_m", "measurements", "sensor", "prior", "stop_on")
+WAY = ("budget", "headings", "step_m", "measurements", "sensor", "prior", "stop_on", "margin_m")
 
 
 class Setting(NamedTuple):

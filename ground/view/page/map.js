@@ -34,7 +34,7 @@ export class WorldMap {
     if (!this.width || !scene) return;
     const side = Math.max(40, Math.min(this.width - LEFT - RIGHT, this.height - TOP - BOTTOM));
     const left = LEFT + Math.floor((this.width - LEFT - RIGHT - side) / 2), top = TOP;
-    const scale = side / (scene.area_m * (1 + 2 * MARGIN)), edge = scene.area_m * MARGIN;
+    const edge = Math.max(scene.area_m * MARGIN, 1.5 * beyond(scene)), scale = side / (scene.area_m + 2 * edge);
     const view = {
       side, left, top, scale,
       x: (m) => left + (m + edge) * scale,
@@ -59,7 +59,7 @@ export class WorldMap {
     drawReadings(g, view, readings(model));
     drawWaypoint(g, view, scene);
     if (scene.estimate) drawEstimate(g, view, scene.estimate);
-    if (scene.truth) drawSource(g, view, scene.truth.source);
+    for (const source of scene.truth?.sources ?? []) drawSource(g, view, source);
     if (isPlaced(scene.craft)) drawCraft(g, view, scene.craft);
     g.restore();
     this.canvas.setAttribute("aria-label", inWords(scene));
@@ -90,6 +90,12 @@ export class WorldMap {
 export function round(least) {
   const power = 10 ** Math.floor(Math.log10(least));
   return power * [1, 2, 5, 10].find((n) => n * power >= least * 0.999);
+}
+
+/** How far the estimate or a true source is beyond the area's edges, m. */
+function beyond({ area_m, estimate, truth }) {
+  const along = [...(estimate ? [estimate.x, estimate.y] : []), ...(truth?.sources ?? []).flat()];
+  return Math.max(0, ...along.map((m) => Math.max(-m, m - area_m)));
 }
 
 function drawGrid(g, view, area_m) {
@@ -289,6 +295,6 @@ function inWords({ area_m, craft, estimate, wind, truth }) {
   if (isPlaced(craft)) said.push(`vehicle at ${at(craft.x, craft.y)}`);
   if (estimate) said.push(`estimate at ${at(estimate.x, estimate.y)} ± ${estimate.spread_m.toFixed(2)} m`);
   if (wind) said.push(`wind ${Math.hypot(...wind).toFixed(1)} m/s from ${bearing(wind)}°`);
-  if (truth) said.push(`true source at ${at(...truth.source)}`);
+  for (const source of truth?.sources ?? []) said.push(`true source at ${at(...source)}`);
   return said.join("; ");
 }

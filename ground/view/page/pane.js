@@ -6,7 +6,7 @@ import { newest } from "./model.js";
 
 const SIGNS = { ok: "✓", missing: "✕", starting: "…", stale: "!", refusing: "!" };
 const LEVELS = { info: "·", warning: "!", error: "✕", stop: "■" };
-const ENDINGS = { located: ["✓", "Located", "good"], "FALSE STOP": ["✕", "False stop", "bad"], ceased: ["■", "Ceased", "calm"], "not ceased": ["!", "Not ceased", "warn"] };
+const ENDINGS = { located: ["✓", "Located", "good"], outside: ["↗", "Outside the area", "warn"], "FALSE STOP": ["✕", "False stop", "bad"], ceased: ["■", "Ceased", "calm"], "not ceased": ["!", "Not ceased", "warn"] };
 const LEADING = ["taking off", "searching"]; // the uav's states in which the search leads
 const MOST_ROWS = 200;
 

@@ -12,6 +12,7 @@ from agent.trials.rollout import mission, rollout
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
+from plume.dispersion import concentration
 from plume.outcome import outcome_text
 from plume.parameters import LIMITS
 from plume.scenario import AS_MODELLED, Scenario, draw
@@ -167,3 +168,38 @@ def test_infotaxis_finds_the_source_and_its_stop_can_be_believed() -> None:
 def test_flying_needs_no_torch(module: str) -> None:
     code = f"import sys; sys.modules['torch'] = None; import {module}; assert 'gymnasium' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
+
+
+def strongest(s: Scenario) -> float:
+    """The greatest mean gas in the area, g/m³."""
+    axis = np.linspace(0.0, 30.0, 61)
+    places = np.stack([*np.meshgrid(axis, axis), np.zeros((61, 61))], axis=-1)
+    release = {"rate": s.q, "diffusivity": s.d, "lifetime": s.tau}
+    return float(concentration(places, (*s.source, s.height), s.wind, **release).max())
+
+
+def test_sources_outside_are_told_as_outside_where_their_gas_shows_and_none_is_claimed_inside() -> None:
+    """Where the mean gas is twice the noise of clean air somewhere in the area, the flight could know."""
+    shows, told = [], []
+    for seed in range(2_000_000, 2_000_010):
+        result, trace = rollout(seed, world="source-beyond", budget=300)
+        assert result.outside or not result.ceased, seed
+        assert result.scenario is not None
+        assert not result.located
+        shows.append(strongest(result.scenario) > 0.4)
+        told.append(result.outside)
+        if result.outside:
+            assert result.outside_to
+            assert result.outside_share >= 0.95
+            assert all(min(point.position) >= 0 and max(point.position) <= 30 for point in trace)
+    assert sum(shows) >= 5
+    # Of 60 other missions all were told where it shows.
+    assert np.mean(np.array(told)[shows]) >= 0.8
+
+
+def test_a_belief_says_what_share_of_it_is_outside() -> None:
+    (*_, last) = mission(2_000_003, "homing", 300, 0.5, 8, assume="field").steps
+    x, y, weights = last.particles[:, 0], last.particles[:, 1], last.particles[:, -1].astype(float)
+    outside = (x < 0) | (x > 30) | (y < 0) | (y > 30)
+    assert 0 < last.belief.outside < 0.95
+    assert last.belief.outside == pytest.approx(weights[outside].sum(), abs=1e-5)

@@ -132,7 +132,7 @@ def test_the_truth_is_sent_once_and_only_when_asked_for() -> None:
     cursor = Sent()
     assert "plume" not in sent(SCENE, cursor)[1]
     header, arrays = sent(SCENE, cursor, truth=True)
-    assert header["truth"] == {"source": [20.0, 12.0]}
+    assert header["truth"] == {"sources": [[20.0, 12.0]]}
     gas = np.array(arrays["plume"]).reshape(96, 96)
     row, column = np.unravel_index(gas.argmax(), gas.shape)
     assert math.dist(((column + 0.5) * 30 / 96, (row + 0.5) * 30 / 96), (20.0, 12.0)) < 0.5

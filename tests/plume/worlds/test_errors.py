@@ -37,7 +37,7 @@ FACTORS = {
 }
 """Worlds in which one number of the release is wrong."""
 TURNED = {"wind-10": 10.0, "wind-30": 30.0}
-ELSEWHERE = {"all-at-once", "source-outside"}
+ELSEWHERE = {"all-at-once", "source-outside", "source-beyond", "two-sources"}
 """Worlds with tests of their own."""
 
 
@@ -109,7 +109,7 @@ def test_the_true_wind_is_to_either_side_of_the_measured_one_by_the_angle_and_as
 
 
 @pytest.mark.parametrize(
-    "name", [name for name in WORLDS if not name.startswith(("cv", "spike", "stuck", "all"))]
+    "name", [name for name in WORLDS if not name.startswith(("cv", "spike", "stuck", "all", "two"))]
 )
 def test_a_reading_is_of_the_true_gas_with_the_true_noise_of_its_step(name: str) -> None:
     gain = {"gain-halved": 0.5, "gain-doubled": 2.0}.get(name, 1.0)
@@ -260,6 +260,35 @@ def test_the_source_is_uniform_over_the_area_outside_table_1() -> None:
         ):
             assert share == pytest.approx(sought, abs=4 * math.sqrt(sought * (1 - sought) / len(SEEDS)))
     assert World(draw(7), 7, name="source-outside").scenario.source == draw(7).source
+
+
+def test_a_source_beyond_is_2_to_6_m_off_one_edge_and_uniform_along_it() -> None:
+    sources = np.array([World(draw(seed), seed, name="source-beyond").truth.source for seed in SEEDS])
+    off = np.maximum(-sources, sources - 30)
+    assert ((off > 0).sum(axis=1) == 1).all()
+    offs, alongs = off[off > 0], sources[off <= 0]
+    # Means of uniform ones, within four standard errors: (b − a)/√12 each.
+    assert offs.mean() == pytest.approx(4, abs=4 * 4 / math.sqrt(12 * len(SEEDS)))
+    assert alongs.mean() == pytest.approx(15, abs=4 * 30 / math.sqrt(12 * len(SEEDS)))
+    assert offs.min() >= 2
+    assert offs.max() <= 6
+    for edge in (sources[:, 0] < 0, sources[:, 0] > 30, sources[:, 1] < 0, sources[:, 1] > 30):
+        assert edge.mean() == pytest.approx(0.25, abs=4 * math.sqrt(0.25 * 0.75 / len(SEEDS)))
+
+
+def test_two_sources_give_the_gas_of_both_and_are_5_to_15_m_apart() -> None:
+    for seed in range(50):
+        world = World(draw(seed), seed, name="two-sources")
+        s = world.truth
+        assert s.second is not None
+        assert 5 <= math.dist(s.source, s.second) <= 15
+        assert min(s.second) >= 0
+        assert max(s.second) <= 30
+        place = (s.second[0] - 1.5, s.second[1] + 0.5)
+        mean = sum(formula(place, each, s.q, s.u, s.phi, s.d, s.tau) for each in (s.source, s.second))
+        noise = keyed(seed, "sensor", 4).standard_normal() * math.sqrt((0.3 * mean) ** 2 + 0.2**2)
+        assert world.gas(place, 4) == pytest.approx(mean + noise, rel=1e-6, abs=1e-6)
+        assert s.nearest(place) == s.second
 
 
 def test_a_fifth_of_the_readings_is_lost_but_not_the_first_and_what_is_then_taken_is_the_same() -> None:
