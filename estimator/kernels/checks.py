@@ -1,4 +1,6 @@
-"""Model check: ranks of readings in their predictive distributions, and a test that they are uniform."""
+"""Model checks: ranks of readings in their predictive distributions, with a test that they are uniform; and a
+test that the measured winds are one wind.
+"""
 
 import math
 
@@ -17,6 +19,10 @@ from plume.response import lags
 # Approximate number of particles, evenly spaced, for the predictive rank of a reading; fewer in intermittent
 # gas, where each takes long.
 CHECK_PARTICLES, CHECK_INTERMITTENT = 1000, 250
+# Least root mean square deviation of the measured winds, by their mean, that counts as more than one wind.
+# It is a wander by 17°: over flat land there are 2.5° to 25°, 10° in neutral air (Pasquill's classes).
+DIFFER = 0.3
+FEWEST_WINDS = 8
 
 
 @subroutine
@@ -191,6 +197,30 @@ def log_likelihood_of_one_value(readings: Array, sensor: Array, spikes: float) -
             changes[t] = readings[t, 5] - (0.0 if saturated else kept * readings[t, 9])
         result = max(result, _greatest(changes, sensor, spikes))
     return result
+
+
+@kernel("float64(float64[:, ::1])")
+def one_wind_p_value(winds: Array) -> float:
+    """p-value of the measured winds (T, 2), m/s, under one wind and independent errors of the anemometer.
+
+    It is that of the correlation of neighbours' deviations from the mean, which grows if the wind depends on
+    the place or wanders. Of T independent deviations it is −1/T on average, with a standard deviation of at
+    most 1/√T (Moran 1948). The p-value is 1 if there are fewer than `FEWEST_WINDS`, or if they deviate
+    from their mean by less than `DIFFER`.
+    """
+    count = len(winds)
+    if count < FEWEST_WINDS:
+        return 1.0
+    east, north = total_of(winds[:, 0].copy()) / count, total_of(winds[:, 1].copy()) / count
+    power, products = 0.0, 0.0
+    for t in range(count):
+        x, y = winds[t, 0] - east, winds[t, 1] - north
+        power += x * x + y * y
+        if t > 0:
+            products += x * (winds[t - 1, 0] - east) + y * (winds[t - 1, 1] - north)
+    if power <= DIFFER * DIFFER * (east * east + north * north) * count:
+        return 1.0
+    return normal_cdf(-(products / power + 1 / count) * math.sqrt(count))
 
 
 @kernel("float64(float64[::1])")

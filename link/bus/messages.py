@@ -95,6 +95,15 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 0.0
     outside: Outside = 0.0
+    wind_p_value: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=1,
+            description="p-value of the measured winds under one wind: near 0 if it differs from place to "
+            "place or from time to time, 1 if it hardly does",
+        ),
+    ] = 1.0
 
 
 class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

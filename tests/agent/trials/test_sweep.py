@@ -433,7 +433,8 @@ def test_one_flight_serves_several_criteria_each_as_if_it_was_alone(
         )
         near_m = stop.within[0] if stop.within else stop.threshold_m
         assert row.warned == any(
-            it.p_value < 1e-4 or (it.spread < near_m and it.evidence < 5) for it in beliefs
+            min(it.p_value, it.wind_p_value) < 1e-4 or (it.spread < near_m and it.evidence < 5)
+            for it in beliefs
         )
     if world == "stuck":
         assert {(row.ceased, row.warned) for row in rows} == {(False, True)}
