@@ -165,5 +165,15 @@ def rollout(
         trace.append(TracePoint(said.position, said.gas, said.mean, said.spread))
         search_time_s += step.update_s + step.decision_s
     return outcome(
-        seed, policy, flown.scenario, trace, said.ceased, search_time_s, said.assume, said.stop, world
+        seed,
+        policy,
+        flown.scenario,
+        trace,
+        said.ceased,
+        search_time_s,
+        said.assume,
+        said.stop,
+        world,
+        said.intermittency,
+        said.advised_dwell,
     ), trace

@@ -224,8 +224,9 @@ the weight. If only x and y are unknown, that is (x m, y m, weight) and 12 N byt
 sample, so they belong to the same step.
 
 Unknowns of the measurement: `wind-direction` is what has to be added to the measured direction, degrees counter-clockwise; `wind-speed`
-is a factor, true by measured speed; `gain` is a factor, reading by concentration; `noise` is a factor on the noise of `sensor`; `cv` is the
-gas's intermittency, the coefficient of variation of the concentration around the plume's mean.
+is a factor, true by measured speed; `gain` is a factor, reading by concentration; `noise` is a factor on the noise of `sensor`. Those of the
+gas's intermittency: `cv` is a coefficient of variation that the concentration has everywhere; `puff-rate`, puffs a second, and `puff-share`, of the
+diffusivity that widens a puff, say how much more it varies the nearer the source is.
 
 Frames that a bridge brings to `mavlink/out` and `mavlink/in` have the attachment `bridge`: it tells other bridges that their sender is not
 itself on the bus.

@@ -23,7 +23,7 @@ from link.record.decoded import decode, decode_reading
 from link.record.reader import LogFile, RecordError, is_record
 from link.record.record import FRAME_KEYS, Entry
 from link.terminal import Column, printable, table, tell, width_of
-from plume.outcome import assumed_text, outcome, outcome_text
+from plume.outcome import assumed_text, gas_lines, outcome, outcome_text
 from plume.scenario import AS_MODELLED, Scenario
 
 SHORTEST_KEY = 12  # characters of a key that a narrow terminal shows at least
@@ -170,15 +170,30 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         "assume": last.assume,
         "stop": last.stop,
         "world": world,
+        "intermittency": last.intermittency,
+        "advised_dwell_s": last.advised_dwell or None,
     }
     try:
         scenario = msgspec.convert(about["scenario"], Scenario)
     except (KeyError, msgspec.ValidationError):
         verdict = f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps"
-        return plain, [verdict, estimate, assumed_text(last.assume, last.stop, world)]
+        gas = gas_lines(last.intermittency, last.advised_dwell)
+        return plain, [verdict, estimate, assumed_text(last.assume, last.stop, world), *gas]
     trace = [point for _, point in sorted(survey.trace.items())]
     # It has no seed, policy and search time.
-    result = outcome(0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world)
+    result = outcome(
+        0,
+        "",
+        scenario,
+        trace,
+        last.ceased,
+        0.0,
+        last.assume,
+        last.stop,
+        world,
+        last.intermittency,
+        last.advised_dwell,
+    )
     judged = {
         "located": result.located,
         "error_m": result.error_m,

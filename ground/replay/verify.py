@@ -26,7 +26,8 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "belief": (*Belief.__struct_fields__, PARTICLES),
     "waypoint": tuple(SETPOINT_MESSAGE.fieldnames),
 }
-NEWER_FIELDS = ("assume", "stop", "evidence")  # fields that older records lack; then they are not compared
+# Fields that older records lack; then they are not compared.
+NEWER_FIELDS = ("assume", "stop", "evidence", "intermittency", "advised_dwell")
 # Fields shown of a message that only one side has.
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}
 

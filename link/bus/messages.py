@@ -58,7 +58,7 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         tuple[str, ...],
         Meta(
             description="names of the particle array's columns, of x y z q u phi d tau wind-direction "
-            "wind-speed gain noise cv"
+            "wind-speed gain noise cv puff-rate puff-share"
         ),
     ]
     means: Annotated[tuple[float, ...], Meta(description="mean of each unknown")]
@@ -90,6 +90,18 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             description="nats by which the readings are explained better than by a sensor that shows one "
             "value plus noise"
         ),
+    ] = 0.0
+    intermittency: Annotated[
+        dict[str, tuple[float, float, float]],
+        Meta(
+            description="how the gas comes and goes: 5, 50 and 95% quantiles of its coefficient of variation "
+            "3 m downwind of the source (`downwind`), and of cv, puff-rate (1/s) and puff-share where they "
+            "are unknown; empty if none is"
+        ),
+    ] = {}
+    advised_dwell: Annotated[
+        float,
+        Meta(ge=0, description="how long to hover for a reading in such gas, s; 0: as long as now"),
     ] = 0.0
 
 

@@ -407,6 +407,8 @@ class MissionWatch:
             last.assume,
             last.stop,
             script.world,
+            last.intermittency,
+            last.advised_dwell,
         )
         located = bool(result.located)
         came_true = {
