@@ -130,6 +130,7 @@ def line(searches: Sequence[Search]) -> list[str]:
     return [
         searches[0].world,
         f"{searches[0].dwell_s:g}",
+        f"{count}",
         wilson(located, count).text(100.0, 0),
         wilson(len(ceased) - located, len(ceased)).text(100.0, 1) if ceased else UNKNOWN,
         f"{np.mean([it.distance_m for it in ceased]):.0f}" if ceased else UNKNOWN,
@@ -189,7 +190,16 @@ def write(rows: Iterable[Search], path: Path) -> None:
 def page(text: str, rows: Sequence[Search]) -> str:
     """Return the page with its tables made anew. Raises ValueError if it has no place for a table."""
     flown = [(cell, found) for cell in cells() if (found := of_cell(rows, cell))]
-    heads = ["world", "dwell, s", "located, %", "false, %", "MTD, m", "time to the stop, s", "time a find, s"]
+    heads = [
+        "world",
+        "dwell, s",
+        "missions",
+        "located, %",
+        "false, %",
+        "MTD, m",
+        "to the stop, s",
+        "a find, s",
+    ]
     gas = ["cv: median / 5%", "advised, %"]
     chosen = table([*heads, *gas], [line(found) for cell, found in flown if cell.first_seed < HELD_OUT_SEED])
     tested = table(
