@@ -8,7 +8,7 @@ import numpy as np
 from estimator.filter import Config, Posterior
 from estimator.kernels.gas import cvs_downwind
 from plume.elementary import Array
-from plume.sensors.names import Sensor
+from plume.sensors.names import Sensor, lags
 
 LEVELS = 0.05, 0.5, 0.95
 NEAR_M = 3.0  # downwind of the source: there a search ends, and there puffs overlap least
@@ -54,8 +54,11 @@ def advised_dwell(said: Mapping[str, Quantiles], sensor: Sensor) -> float:
 
     Gas surely comes and goes where the 5% quantile of its coefficient of variation is high. Then a hover
     finds the source in less time, though it takes time. A shorter hover is never advised: what a hover has
-    averaged away the readings cannot tell.
+    averaged away the readings cannot tell. Nor is any of a sensor that lags: it averages gas of the leg, too,
+    and its readings tell less of it.
     """
+    if lags(sensor):
+        return 0.0
     low, _, _ = said.get(DOWNWIND, (0.0, 0.0, 0.0))
     of_a_moment = low * math.sqrt(1 + sensor.dwell / AVERAGED_S)
     advised_s = max((dwell_s for dwell_s, least in DWELLS_S.items() if of_a_moment >= least), default=0.0)

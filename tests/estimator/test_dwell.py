@@ -94,6 +94,7 @@ def test_a_longer_hover_is_advised_where_gas_surely_comes_and_goes() -> None:
     ]
     # A hover of 2 s leaves 1/1.83 of it: 1 + 2/0.85 is 1.83².
     assert [advised(least, 2.0) for least in (0.5, 1.25, 1.26)] == [0.0, 0.0, 5.0]
+    assert advised_dwell({DOWNWIND: (30.0, 30.0, 30.0)}, parse("pid")) == 0.0  # it lags
     # Never a shorter one, and none beyond those that were flown.
     assert [advised(30.0, dwell_s) for dwell_s in (5.0, 600.0)] == [0.0, 0.0]
 
