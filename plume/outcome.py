@@ -16,6 +16,8 @@ Quantiles = tuple[float, float, float]  # 5, 50 and 95%
 NOTHING: Mapping[str, Quantiles] = MappingProxyType({})
 # Words for gas, by the least coefficient of variation near the source that they stand for.
 BURSTS, COMES_AND_GOES = 1.0, 0.5
+# Gas whose cv may be less than COMES_AND_GOES and also this is not known well enough for a word.
+UNKNOWN_CV = 1.5
 
 
 class TracePoint(msgspec.Struct, frozen=True):
@@ -188,8 +190,10 @@ def gas_lines(intermittency: Mapping[str, Quantiles], advised_dwell_s: float | N
     """
     lines = []
     if "downwind" in intermittency:
-        cv = intermittency["downwind"][1]
+        low, cv, high = intermittency["downwind"]
         how = "comes in bursts" if cv >= BURSTS else "comes and goes" if cv >= COMES_AND_GOES else "is steady"
+        if low < COMES_AND_GOES and high >= UNKNOWN_CV:
+            how = "may come and go"
         lines.append(f"gas      {how}: cv {_told(intermittency['downwind'], 2)} near source")
     puffs = [
         f"{words}{_told(intermittency[name], 1, unit)}"

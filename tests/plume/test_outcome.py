@@ -149,18 +149,24 @@ BURSTS["puff-share"] = (0.047, 0.2, 0.61)
 
 def test_the_text_tells_how_the_gas_came_and_went_and_how_long_to_hover() -> None:
     flight = (1, "random", SCENARIO, flown((3.0, 3.1)), True, 0.1, "field", "spread:0.5", "as-modelled")
-    told = outcome_text(outcome(*flight, BURSTS, 2.0)).splitlines()
+    told = outcome_text(outcome(*flight, intermittency=BURSTS, advised_dwell_s=2.0)).splitlines()
     assert told[4:] == [
         "gas      comes in bursts: cv 1.8 (1.1 to 2.6) near source",
         "puffs    10/s (2 to 60), share 0.2 (0.05 to 0.6)",
         "advice   hover 2 s for a reading of such gas: --dwell 2",
     ]
-    assert outcome_text(outcome(*flight, BURSTS)).splitlines() == told[:6]  # as long as it did
+    assert outcome_text(outcome(*flight, intermittency=BURSTS)).splitlines() == told[:6]  # as long as it did
     assert outcome_text(outcome(*flight)).splitlines() == told[:4]  # the gas is taken to be known
-    fields = json.loads(outcome_json(outcome(*flight, BURSTS, 2.0), None))
+    fields = json.loads(outcome_json(outcome(*flight, intermittency=BURSTS, advised_dwell_s=2.0), None))
     assert fields["intermittency"] == {name: list(values) for name, values in BURSTS.items()}
     assert fields["advised_dwell_s"] == 2.0
-    assert json.loads(outcome_json(outcome(*flight, BURSTS), None))["advised_dwell_s"] is None
+    assert json.loads(outcome_json(outcome(*flight, intermittency=BURSTS), None))["advised_dwell_s"] is None
+
+
+def test_gas_of_which_little_is_known_has_no_name_yet() -> None:
+    assert gas_lines({"downwind": (0.24, 1.0, 1.9)}, None)[0].startswith(
+        "gas      may come and go: cv 1 (0.24"
+    )
 
 
 @pytest.mark.parametrize(
@@ -168,8 +174,8 @@ def test_the_text_tells_how_the_gas_came_and_went_and_how_long_to_hover() -> Non
     [(0.2, "is steady"), (0.5, "comes and goes"), (0.999, "comes and goes"), (1, "comes in bursts")],
 )
 def test_gas_is_named_by_its_median_cv(cv: float, words: str) -> None:
-    assert gas_lines({"downwind": (0.05, cv, 3.0)}, None)[0].startswith(
-        f"gas      {words}: cv {cv:.2g} (0.05 to 3)"
+    assert gas_lines({"downwind": (0.05, cv, 1.4)}, None)[0].startswith(
+        f"gas      {words}: cv {cv:.2g} (0.05 to 1.4)"
     )
 
 

@@ -132,8 +132,8 @@ MISTAKES = {
     ): "12: events[3].time_s: not allowed for waypoints, which answer readings; wanted step",
     (
         "located, r",
-        "found, r",
-    ): "15: expect[0]: 'found' is not allowed; wanted one of ceased, false stop, landed, located, not "
+        "seen, r",
+    ): "15: expect[0]: 'seen' is not allowed; wanted one of ceased, false stop, landed, located, not "
     "ceased, ",
     (
         "expect: [located, returned home]",
