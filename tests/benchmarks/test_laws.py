@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from benchmarks import laws
 from benchmarks.laws import CELL_M, FIGURES, LAWS, PAGE, SENSOR, Row, Search, page, read
@@ -76,6 +75,8 @@ def test_a_law_is_a_density_whose_mean_is_that_of_the_plume(law: str) -> None:
 @pytest.mark.parametrize(("mean", "std"), [(0.5, 0.25), (3.0, 0.9), (0.01, 0.2)])
 def test_the_gamma_law_with_noise_is_the_mean_over_its_quantiles(cv: float, mean: float, std: float) -> None:
     """Over the middles of 400,000 equal shares: their own error is below 1e-4 here."""
+    from scipy import stats
+
     shares = (np.arange(400_000) + 0.5) / 400_000
     quantiles = stats.gamma(1 / cv**2, scale=mean * cv**2).ppf(shares)
     for z in (-std, 0.0, mean, mean + 2 * std + 2 * cv * mean):
