@@ -88,6 +88,8 @@ INSTEAD = {
     "python -m benchmarks.puffs": "python -m benchmarks.puffs --missions 2",
     "python -m benchmarks.sensors": "python -m benchmarks.sensors --missions 1",
     "python -m benchmarks.dwell": "python -m benchmarks.dwell --world as-modelled --missions 1",
+    "python -m benchmarks.laws": "python -m benchmarks.laws --worlds cv-1 --missions 1 --workers 1",
+    "python -m benchmarks.recorded": "python -m benchmarks.recorded --missions 1 --length 2 --workers 1",
     "python -m benchmarks.otto": "python -m benchmarks.otto --cases isotropic-19x19 --runs 2 --workers 1",
     "python -m benchmarks.otto_value": "python -m benchmarks.otto_value --iterations 2",
     "python benchmarks/loop.py --secure": "python benchmarks/loop.py --secure --missions 1",

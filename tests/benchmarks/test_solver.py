@@ -47,6 +47,8 @@ def test_without_turbulence_it_is_the_steady_plume_of_a_layer(diffusivity: float
     """q/(2π d H) exp(u x/2d) K0(r √(u²/4d² + 1/(d τ))), within 3%: cells of 0.25 m are a tenth of the
     plume's width, and a second-order scheme errs by the square of that.
     """
+    from scipy.special import k0
+
     grid = Grid((56, 64), (12, 32), 0.25)
     gas, _ = after(1600, grid, eddies_mps=0.0, diffusivity=diffusivity, wind_mps=wind_mps)
     from scipy.special import k0
