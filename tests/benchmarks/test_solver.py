@@ -51,7 +51,6 @@ def test_without_turbulence_it_is_the_steady_plume_of_a_layer(diffusivity: float
 
     grid = Grid((56, 64), (12, 32), 0.25)
     gas, _ = after(1600, grid, eddies_mps=0.0, diffusivity=diffusivity, wind_mps=wind_mps)
-    from scipy.special import k0
 
     root = math.sqrt((wind_mps / (2 * diffusivity)) ** 2 + 1 / (diffusivity * LIFETIME_S))
     for east in (8, 16, 28):
