@@ -11,6 +11,7 @@ from plume.elementary import Array
 from plume.sensors.names import Sensor, lags
 
 LEVELS = 0.05, 0.5, 0.95
+PARTICLES = 250  # least number of particles, evenly spaced, that quantiles are taken of
 NEAR_M = 3.0  # downwind of the source: there a search ends, and there puffs overlap least
 DOWNWIND = "downwind"  # name of the coefficient of variation there
 OF_GAS = "cv", "puff-rate", "puff-share"
@@ -29,16 +30,18 @@ def intermittency(posterior: Posterior, config: Config) -> dict[str, Quantiles]:
     It is of the unknowns among `OF_GAS`, and of the coefficient of variation of the gas `NEAR_M` downwind of
     the source. Gas is what the sensor meets: of a vehicle that hovers, its mean over the hover.
     """
+    every = max(len(posterior.weights) // PARTICLES, 1)
+    particles, weights = np.ascontiguousarray(posterior.particles[:, ::every]), posterior.weights[::every]
     said = {
-        name: quantiles(row, posterior.weights)
-        for name, row in zip(config.unknowns, posterior.particles, strict=True)
+        name: quantiles(row, weights)
+        for name, row in zip(config.unknowns, particles, strict=True)
         if name in OF_GAS
     }
     if not said:
         return {}
     row = np.ascontiguousarray(posterior.readings[-1])
-    cvs = cvs_downwind(posterior.particles, row, NEAR_M, config.model)
-    return {DOWNWIND: quantiles(cvs, posterior.weights), **said}
+    cvs = cvs_downwind(particles, row, NEAR_M, config.model)
+    return {DOWNWIND: quantiles(cvs, weights), **said}
 
 
 def quantiles(values: Array, weights: Array) -> Quantiles:
