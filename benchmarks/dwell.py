@@ -237,13 +237,15 @@ def main() -> None:
     with Pool(args.workers) as pool:
         for cell in cells():
             old = of_cell(rows, cell)
-            if cell.world not in args.world or (args.resume and len(old) >= args.missions):
-                continue
+            kept = old if args.resume else []
             seeds = range(cell.first_seed, cell.first_seed + args.missions)
-            new = pool.starmap(search, [(cell.world, cell.dwell_s, seed) for seed in seeds], chunksize=1)
-            rows = [*(it for it in rows if it not in old), *new]
+            missing = sorted({*seeds} - {it.seed for it in kept})
+            if cell.world not in args.world or not missing:
+                continue
+            new = pool.starmap(search, [(cell.world, cell.dwell_s, seed) for seed in missing], chunksize=1)
+            rows = [*(it for it in rows if it not in old), *kept, *new]
             write(rows, ROWS)
-            print(" ".join(line(new)), flush=True)
+            print(" ".join(line([*kept, *new])), flush=True)
     with whole(PAGE) as partial:
         partial.write_text(page(PAGE.read_text(), rows))
     print(PAGE)

@@ -10,7 +10,7 @@ from estimator.kernels.gas import cvs_downwind
 from plume.elementary import Array
 from plume.sensors.names import Sensor, lags
 
-LEVELS = 0.05, 0.5, 0.95
+LEVELS = np.array([0.05, 0.5, 0.95])
 PARTICLES = 250  # least number of particles, evenly spaced, that quantiles are taken of
 NEAR_M = 3.0  # downwind of the source: there a search ends, and there puffs overlap least
 DOWNWIND = "downwind"  # name of the coefficient of variation there
@@ -45,10 +45,14 @@ def intermittency(posterior: Posterior, config: Config) -> dict[str, Quantiles]:
 
 
 def quantiles(values: Array, weights: Array) -> Quantiles:
-    """Return the weighted quantiles of values (N,): the least value that a share of the weight reaches."""
-    order = np.argsort(values, kind="stable")
-    reached = np.cumsum(weights[order])
-    low, middle, high = values[order][np.searchsorted(reached, np.array(LEVELS) * reached[-1])].tolist()
+    """Return the weighted quantiles of values (N,): the least value that a share of the weight reaches.
+
+    weights: (N,) up to 1 each. They are rounded to so few bits that their sums are exact: sorts leave equal
+    values in different orders on different processors.
+    """
+    order = np.argsort(values)
+    reached = np.cumsum(np.rint(weights * (2.0**52 / len(weights)))[order])
+    low, middle, high = values[order[np.searchsorted(reached, LEVELS * reached[-1])]].tolist()
     return low, middle, high
 
 
