@@ -27,10 +27,10 @@ from link import cli
 from link.files import whole
 from plume.compiled import subroutine
 from plume.elementary import Array
-from plume.intermittency import SMALLEST_CV, SMALLEST_MEAN
+from plume.intermittency import SMALLEST_CV, SMALLEST_MEAN, density
 from plume.kernels import DERIVED, derive, derived_means, squares_of_puffs
 from plume.numerics import HALF_LOG_2PI, log_gamma
-from plume.parameters import BLANK, FLOOR, KNOWN, MEASURED, NEUTRAL, PARAMETERS, SLOPE, X, Y
+from plume.parameters import FLOOR, KNOWN, MEASURED, NEUTRAL, PARAMETERS, SLOPE, X, Y
 from plume.randomness import keyed
 from plume.scenario import AREA_M, STEP_M, SUCCESS_RADIUS_M, Scenario, draw
 from plume.sensors.names import GAUSSIAN, sensor_row
@@ -41,8 +41,7 @@ ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "results" / "laws" / "figures.csv"
 PAGE = ROOT / "docs" / "physics.md"
 BEGIN, END = "<!-- laws -->\n", "<!-- end -->"
-# Kind of a law, and whether its cv is that of the puffs at each place. The estimator has CLIPPED of the even
-# cv and INVERSE_GAUSSIAN of the puffs.
+# Kind of a law, and whether its cv is that of the puffs at each place. The estimator has CLIPPED.
 GAMMA, INVERSE_GAUSSIAN, CLIPPED = range(3)
 LAWS = {
     "gamma, one cv": (GAMMA, False),
@@ -137,8 +136,12 @@ def log_densities(law: int, places: Array, reading: Array, priors: Array, sensor
         if law == GAMMA:
             result[i] = gamma_density(gas, mean, slope * mean * mean + floor, square)
         else:
-            blank = BLANK * square / (1 + square) if law == CLIPPED else 0.0
-            here = gas_density(gas, mean, mean, 1.0, blank, square, slope, floor)
+            steady = slope / max(slope + square, 1e-300)
+            here = (
+                gas_density(gas, mean, mean, 1.0, square, slope, floor)
+                if law == CLIPPED
+                else density(gas, mean, slope * steady * mean * mean + floor, square * (1 + slope + steady))
+            )
             result[i] = math.log(max(here, 1e-300))
     return result
 

@@ -17,7 +17,6 @@ from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
 from plume.numerics import cosine_and_sine, exp
 from plume.parameters import (
-    BLANK,
     CV,
     EAST,
     GAIN,
@@ -42,8 +41,8 @@ from plume.parameters import (
 )
 
 # Rows of `derive` for the noise, the square of its factor; and for the gas's intermittency: the square of the
-# cv that it has everywhere, the probability of a blank, the strength of its puffs, and 1/(2 − share) of them.
-NOISES, CVS, BLANKS, PUFFS, WIDTHS = 9, 10, 11, 12, 13
+# cv that it has everywhere, the strength of its puffs, and 1/(2 − share) of them.
+NOISES, CVS, PUFFS, WIDTHS = 9, 10, 11, 12
 MOST_SQUARE = 900.0  # greatest square of a coefficient of variation
 RADIANS = math.pi / 180
 ONE_BY_PI_ROOT_2 = 1 / (math.pi * math.sqrt(2.0))
@@ -51,7 +50,7 @@ ONE_BY_PI_ROOT_2 = 1 / (math.pi * math.sqrt(2.0))
 # those of the gas's intermittency.
 #
 # If the wind is measured, u is the factor on its speed and φ the offset of its direction.
-DERIVED = 14
+DERIVED = 13
 
 
 @subroutine
@@ -120,9 +119,7 @@ def derive(particles: Array, count: int, unknowns: Indices, priors: Array, deriv
         derived[6, i] = values[WIND_SPEED] if speed_measured else values[U]
         derived[7, i], derived[8, i] = cosine_and_sine(angle)
         derived[NOISES, i] = values[NOISE] * values[NOISE]
-        even = values[CV] * values[CV]
-        derived[CVS, i] = even
-        derived[BLANKS, i] = BLANK * even / (1 + even)
+        derived[CVS, i] = values[CV] * values[CV]
         share = values[PUFF_SHARE]
         derived[PUFFS, i] = (
             ONE_BY_PI_ROOT_2

@@ -49,7 +49,7 @@ KIND, SLOPE, FLOOR, THRESHOLD, MISSED = range(5)
 # vector.
 RISE, DECAY, DWELL, SATURATION, CLEAN, FACTOR, POWER, RAY, EAST, NORTH, UP = range(5, 16)
 SENSOR_NUMBERS = 16
-# Share of the readings that are blank where gas comes and goes alike everywhere, of cv²/(1 + cv²).
+# Share of the readings that are blank in gas that comes and goes, of C²/(1 + C²), where C is its cv.
 BLANK = 0.4
 GREATEST_CV = 3.0  # the strongest intermittency that the sensor model covers
 # Least and greatest value of a release's parameters that may be given: far beyond any leak, and no arithmetic

@@ -11,7 +11,7 @@ from estimator.kernels.spikes import spike_density, spike_rank
 from plume.compiled import kernel, subroutine
 from plume.elementary import Array
 from plume.intermittency import BODY, TAIL, distribution
-from plume.kernels import BLANKS, NOISES, is_intermittent
+from plume.kernels import NOISES, is_intermittent
 from plume.numerics import HALF_LOG_2PI, dot, exp, log, log1p, log_gamma, total_of
 from plume.parameters import DECAY, DWELL, GAUSSIAN_KIND, HITS_KIND, RISE, SATURATION, THRESHOLD_KIND
 from plume.response import lags
@@ -95,12 +95,10 @@ def predictive_rank(
         variance = noises[i] * ((sensor[1] * few[i]) ** 2 + sensor[2] * sensor[2])
         if intermittent:
             recent = fresh[i * stride]
-            blank = derived[BLANKS, i * stride]
-            without, there, of_gas, with_gas = parts_of_gas(
+            blank, without, there, of_gas, with_gas = parts_of_gas(
                 few[i],
                 recent,
                 noises[i],
-                blank,
                 squares[i * stride],
                 sensor[1] * sensor[1],
                 sensor[2] * sensor[2],

@@ -14,7 +14,6 @@ from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
 from plume.intermittency import ONE_BY_ROOT_2PI, density, exceeding
 from plume.kernels import (
-    BLANKS,
     DERIVED,
     NOISES,
     derive,
@@ -27,6 +26,7 @@ from plume.numerics import HALF_LOG_2PI, erfc, exp, log, log1p, log_gamma
 from plume.parameters import (
     AROUND,
     BEYOND,
+    BLANK,
     CLEAN,
     DWELL,
     GAMMA,
@@ -75,22 +75,21 @@ def is_saturated(gas: float, sensor: Array) -> bool:
 
 @partial(subroutine, forceinline=True)
 def parts_of_gas(
-    mean: float, fresh: float, noise: float, blank: float, square: float, slope: float, floor: float
-) -> tuple[float, float, float, float]:
+    mean: float, fresh: float, noise: float, square: float, slope: float, floor: float
+) -> tuple[float, float, float, float, float]:
     """Return what a reading is made of in intermittent gas, as `plume.sensors.sensor.fluctuating` does.
 
-    They are the variance of the noise of a blank, the mean and the squared cv of the gas where there is some,
-    its noise with it, and the variance of the noise that does not go with it.
-    noise: the square of its factor.  blank: the probability of a blank.  square: of the cv of all the gas.
-    slope, floor: α² and β².
+    They are the probability of a blank, the variance of its noise, the mean and the squared cv of the gas
+    where there is some, its noise with it, and the variance of the noise that does not go with it.
+    noise: the square of its factor.  square: of the cv of all the gas.  slope, floor: α² and β².
     """
     slope, floor = noise * slope, noise * floor
-    of_gas = (1 - blank) * (1 + square) - 1
+    blank, of_gas = BLANK * square / (1 + square), (1 - BLANK) * square
     gas = fresh / (1 - blank)
     older = mean - fresh
     steady = slope / max(slope + of_gas, 1e-300)
     with_gas = slope * (older * older + 2 * older * gas + steady * gas * gas) + floor
-    return slope * mean * mean + floor, gas, of_gas * (1 + slope + steady), with_gas
+    return blank, slope * mean * mean + floor, gas, of_gas * (1 + slope + steady), with_gas
 
 
 @partial(subroutine, forceinline=True)
@@ -99,13 +98,12 @@ def gas_density(
     mean: float,
     fresh: float,
     noise: float,
-    blank: float,
     square: float,
     slope: float,
     floor: float,
 ) -> float:
     """Density of a reading in intermittent gas, of which `parts_of_gas` says what it is made of."""
-    without, there, of_gas, with_gas = parts_of_gas(mean, fresh, noise, blank, square, slope, floor)
+    blank, without, there, of_gas, with_gas = parts_of_gas(mean, fresh, noise, square, slope, floor)
     residual, precision = gas - (mean - fresh), 1 / without
     nothing = ONE_BY_ROOT_2PI * math.sqrt(precision) * exp(-0.5 * residual * residual * precision)
     return blank * nothing + (1 - blank) * density(residual, there, with_gas, of_gas)
@@ -137,9 +135,7 @@ def log_densities(
     if is_intermittent(model.priors) and not is_saturated(gas, model.sensor):
         slope, floor = model.sensor[1] * model.sensor[1], model.sensor[2] * model.sensor[2]
         for i in range(count):
-            here = gas_density(
-                gas, means[i], fresh[i], derived[NOISES, i], derived[BLANKS, i], squares[i], slope, floor
-            )
+            here = gas_density(gas, means[i], fresh[i], derived[NOISES, i], squares[i], slope, floor)
             result[i] = log(kept * here + spike)
     else:
         _without_spikes(means, fresh, squares, derived, count, gas, model, result)
@@ -175,9 +171,8 @@ def _without_spikes(
         for i in range(count):
             noise = derived[NOISES, i] if len(derived) else 1.0
             if is_intermittent(model.priors):
-                blank = derived[BLANKS, i]
-                without, there, of_gas, with_gas = parts_of_gas(
-                    means[i], fresh[i], noise, blank, squares[i], slope, floor
+                blank, without, there, of_gas, with_gas = parts_of_gas(
+                    means[i], fresh[i], noise, squares[i], slope, floor
                 )
                 far = sensor[SATURATION] - (means[i] - fresh[i])
                 beyond = blank * normal_cdf(-far / math.sqrt(without))
@@ -188,9 +183,7 @@ def _without_spikes(
             result[i] = log(max(beyond, 1e-300))
     elif not plain and is_intermittent(model.priors):
         for i in range(count):
-            here = gas_density(
-                gas, means[i], fresh[i], derived[NOISES, i], derived[BLANKS, i], squares[i], slope, floor
-            )
+            here = gas_density(gas, means[i], fresh[i], derived[NOISES, i], squares[i], slope, floor)
             result[i] = log(max(here, 1e-300))
     elif kind == THRESHOLD_KIND and gas == 0.0:
         for i in range(count):

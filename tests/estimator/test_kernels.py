@@ -133,8 +133,9 @@ def in_puffs(
         factor * number**2 for number in (config.sensor.sensor_noise, config.sensor.environment_noise)
     )
     even = np.square(value.get("cv", float(config.prior_rows[CV, 1])))
-    blank = 0.4 * even / (1 + even)
-    there, mean_square = mean / (1 - blank), np.minimum(1 + even + puffs, 901.0) / (1 - blank)
+    square = np.minimum(even + puffs, 900.0)
+    blank = 0.4 * square / (1 + square)
+    there, mean_square = mean / (1 - blank), (1 + square) / (1 - blank)
     own = mean_square * (1 - blank) ** 2 - 1
     normal = slope / (slope + own) * slope
     of_gas = own + slope * (1 + own) - normal

@@ -175,7 +175,8 @@ def test_of_a_sensor_that_lags_only_fresh_gas_is_intermittent(cv: float, rate: f
     puffs = of_puffs(
         config, {"puff-share": 0.2, "puff-rate": rate}, np.array([-1.0, 1.0, 0.0]), np.array(WIND)
     )
-    square, blank = cv**2 + float(puffs), 0.4 * cv**2 / (1 + cv**2)
+    square = cv**2 + float(puffs)
+    blank = 0.4 * square / (1 + square)
     # The noise is 0.1 of all gas that is there; of a blank, of the mean.
     noise = (1 - blank) * older**2 + 2 * older * fresh + (1 + square) * fresh**2 + blank * mean**2
     variance = square * fresh**2 + 0.01 * noise + 0.04
