@@ -1,10 +1,12 @@
 """Protects the stop from a place where the gas does not peak: `peak` by hand, and that a stop waits for it."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
+from agent.trials.rollout import mission
 from estimator.batch import Batch
 from estimator.belief import RISES, belief, locates, met, rises
 from estimator.filter import Config, Posterior, assimilate, prior
@@ -111,3 +113,22 @@ def test_a_batch_waits_as_a_single_mission_does() -> None:
         assert summary.ceased == batch.has_ceased(0)
         said.append(rises(posterior, np.array(summary.means), config))
     assert {True, False} == set(said)
+
+
+@pytest.mark.slow
+def test_one_true_stop_in_a_hundred_waits_where_the_world_is_as_modelled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """100 searches in each of two worlds, with another 1,000,000 seeds than the level was found with.
+
+    2 of 200 are expected to wait; the margin is 3 standard deviations of such a count, 4.
+    """
+    monkeypatch.setattr("estimator.belief.RISES", 0.0)
+    waiting = stops = 0
+    for world, seed in itertools.product(("as-modelled", "cv-1"), range(5_000_000, 5_000_100)):
+        *_, last = mission(seed, "homing", 1000, 0.5, 600, world=world, assume="field").steps
+        if last.belief.ceased:
+            stops += 1
+            waiting += peak(last.posterior.readings, *last.belief.mean) < RISES
+    assert stops >= 198
+    assert waiting <= 2 + 4
