@@ -6,12 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from estimator.filter import Config, Posterior
-from estimator.kernels.checks import (
-    log_likelihood_of_one_value,
-    one_wind_p_value,
-    peak,
-    uniformity_p_value,
-)
+from estimator.kernels.checks import log_likelihood_of_one_value, one_wind_p_value, uniformity_p_value
 from estimator.kernels.densities import log_priors
 from estimator.kernels.weights import effective_sample_size, moments, weighted_mean
 from estimator.priors import Fixed
@@ -20,7 +15,6 @@ from link.bus.messages import Belief, Particles, Stop
 from plume.elementary import Array, direction
 from plume.parameters import PARAMETERS
 from plume.scenario import SURE_OUTSIDE
-from plume.sensors.sensor import Gaussian
 
 RECENT = 30  # recent readings in the test of whether they fit the model
 FEWEST = 8  # with fewer readings the test has no power: the p-value is 1
@@ -30,7 +24,6 @@ CLEAR = 5.0  # least `evidence` for a stop, nats
 RUN = 20
 # This many bit-identical readings in a row mean that a noisy sensor is stuck. No stop comes before so many.
 STUCK = 3
-RISES = 0.8  # least `peak` at the estimate for a stop: one of a hundred true stops has less
 
 
 def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Belief, Particles]:
@@ -164,11 +157,8 @@ def warning(said: Belief, config: Config) -> tuple[str, str] | None:
 def locates(posterior: Posterior, spread: float, means: Array, config: Config) -> bool:
     """True if the stop criterion's claim of the location is met, also when neighbouring readings are alike.
 
-    spread and means (D,) are those of the posterior. `stretch` says how alike readings are. And the gas has
-    to rise towards the estimate (`rises`).
+    spread and means (D,) are those of the posterior. `stretch` says how alike readings are.
     """
-    if not rises(posterior, means, config):
-        return False
     if config.within is None:
         return spread < config.threshold_m and spread * stretch(posterior.ranks, config) < config.threshold_m
     radius_m, wanted = config.within
@@ -176,21 +166,6 @@ def locates(posterior: Posterior, spread: float, means: Array, config: Config) -
         share_within(radius_m, posterior, means, config) >= wanted
         and share_within(radius_m / stretch(posterior.ranks, config), posterior, means, config) >= wanted
     )
-
-
-def rises(posterior: Posterior, means: Array, config: Config) -> bool:
-    """True unless there is less gas near the estimate than a source there would give, by the gas around it.
-
-    Where the plume is none that the model knows, the unknowns may fit readings that show no peak. Steady gas
-    has one at the source whatever the unknowns. It is not asked of sensors that smear it, nor where the
-    source may be higher or lower than the readings.
-    """
-    if not config.intermittent or type(config.sensor) is not Gaussian or "z" in config.priors:
-        return True
-    x, y = config.prior_rows[:2, 1].tolist()
-    for name, mean in zip(config.unknowns, means.tolist(), strict=True):
-        x, y = mean if name == "x" else x, mean if name == "y" else y
-    return float(peak(posterior.readings, x, y)) >= RISES
 
 
 def stretch(ranks: Array, config: Config) -> float:

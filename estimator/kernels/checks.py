@@ -23,9 +23,6 @@ CHECK_PARTICLES, CHECK_INTERMITTENT = 1000, 250
 # It is a wander by 17°: over flat land there are 2.5° to 25°, 10° in neutral air (Pasquill's classes).
 DIFFER = 0.3
 FEWEST_WINDS = 8
-# Gas up to NEAR_M from the estimate is compared with that from there to AROUND_M, m; closer than CLOSEST_M,
-# half the usual spread, the distance to the source is not known.
-NEAR_M, AROUND_M, CLOSEST_M = 1.0, 3.0, 0.25
 
 
 @subroutine
@@ -224,28 +221,6 @@ def one_wind_p_value(winds: Array) -> float:
     if power <= DIFFER * DIFFER * (east * east + north * north) * count:
         return 1.0
     return normal_cdf(-(products / power + 1 / count) * math.sqrt(count))
-
-
-@kernel("float64(float64[:, ::1], float64, float64)")
-def peak(readings: Array, x: float, y: float) -> float:
-    """How much the gas rises towards (x, y), by how much it does as 1/distance; 1 if nothing tells.
-
-    It is the ratio of the mean root of the gas near the place to that around it, by the same ratio of the
-    roots of 1/distance. Roots, since a few gusts or spikes would outweigh all other readings.
-    readings: (T, 6 or more).
-    """
-    near, around, near_law, around_law = 0.0, 0.0, 0.0, 0.0
-    for t in range(len(readings)):
-        dx, dy = readings[t, 0] - x, readings[t, 1] - y
-        distance = math.sqrt(dx * dx + dy * dy)
-        gas, law = math.sqrt(max(readings[t, 5], 0.0)), math.sqrt(1 / max(distance, CLOSEST_M))
-        if distance < NEAR_M:
-            near += gas
-            near_law += law
-        elif distance < AROUND_M:
-            around += gas
-            around_law += law
-    return near * around_law / (around * near_law) if around > 0 and near_law > 0 else 1.0
 
 
 @kernel("float64(float64[::1])")
