@@ -174,7 +174,11 @@ def promise(rows: Rows) -> str:
         stops = [row for of in ceased.values() for row in of]
         if not stops:
             continue
-        held = {world: wilson(sum(row.located for row in of), len(of)) for world, of in ceased.items() if of}
+        held = {
+            world: wilson(sum(not row.false_stop for row in of), len(of))
+            for world, of in ceased.items()
+            if of
+        }
         worst = min(held, key=lambda world: held[world].value)
         p50, p95 = np.quantile([row.error_m for row in stops], [0.5, 0.95])
         lines.append(
@@ -184,7 +188,7 @@ def promise(rows: Rows) -> str:
                 f"{len(flown)} of {len(HOLDS[assume])}",
                 f"{100 * len(stops) / sum(map(len, flown.values())):.1f}",
                 PROMISED[stop.text],
-                wilson(sum(row.located for row in stops), len(stops)).text(100.0, 1),
+                wilson(sum(not row.false_stop for row in stops), len(stops)).text(100.0, 1),
                 f"{100 * held[worst].value:.1f}, {worst}",
                 f"{p50:.2f} / {p95:.2f}",
                 f"{np.mean([row.nees for row in stops]):.2f}",

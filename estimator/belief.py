@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from estimator.dwell import advised_dwell, intermittency
 from estimator.filter import Config, Posterior
 from estimator.kernels.checks import log_likelihood_of_one_value, one_wind_p_value, uniformity_p_value
 from estimator.kernels.densities import log_priors
@@ -48,6 +49,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     located = locates(posterior, spread, unknown_means, config)
     p_value, better = fit(posterior, config), evidence(posterior, config)
     outside = share_outside(posterior, config)
+    gas = intermittency(posterior, config)
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
         step=len(posterior.readings) - 1,
@@ -75,6 +77,8 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         stop=config.criterion.text,
         outside=outside,
         wind_p_value=one_wind(posterior, config),
+        intermittency=gas,
+        advised_dwell=advised_dwell(gas, config.sensor),
     )
     particles = np.empty((posterior.particles.shape[1], len(unknown_means) + 1), np.float32, order="F")
     particles[:, :-1] = posterior.particles.T

@@ -12,6 +12,13 @@ import msgspec
 
 from plume.scenario import AREA_M, AS_MODELLED, SUCCESS_RADIUS_M, SURE_OUTSIDE, Scenario
 
+Quantiles = tuple[float, float, float]  # 5, 50 and 95%
+NOTHING: Mapping[str, Quantiles] = MappingProxyType({})
+# Words for gas, by the least coefficient of variation near the source that they stand for.
+BURSTS, COMES_AND_GOES = 1.0, 0.5
+# Gas whose cv may be less than COMES_AND_GOES and also this is not known well enough for a word.
+UNKNOWN_CV = 1.5
+
 
 class TracePoint(msgspec.Struct, frozen=True):
     """One step of a mission: where a reading was taken, and the belief after it."""
@@ -45,6 +52,9 @@ class Outcome(msgspec.Struct, frozen=True):
     outside: bool = False  # the stop says that the source is outside the area, and that is not false
     outside_share: float = 0.0  # of the belief, at the end
     outside_to: str = ""  # where the estimate is outside: north, north-east, …
+    # 5, 50 and 95% quantiles of what the belief says of how the gas comes and goes, as of `Belief`.
+    intermittency: dict[str, Quantiles] = {}
+    advised_dwell_s: float | None = None  # how long to hover for a reading in such gas; None: as long as now
 
 
 def verdict(
@@ -95,10 +105,13 @@ def outcome(
     world: str = AS_MODELLED,
     outside_share: float = 0.0,
     area_m: float = AREA_M,
+    intermittency: Mapping[str, Quantiles] = NOTHING,
+    advised_dwell_s: float = 0.0,
 ) -> Outcome:
     """Judge a mission by its true scenario, None if it is not known, and its trace.
 
-    The trace's first point is the reading before any move.  outside_share: of the last belief.
+    The trace's first point is the reading before any move.  outside_share, intermittency and advised_dwell_s
+    are of the last belief; the last is 0 if as long as now.
     """
     last = trace[-1]
     source = scenario.nearest(last.mean) if scenario else None
@@ -125,6 +138,8 @@ def outcome(
         outside=ended == "outside",
         outside_share=outside_share,
         outside_to=beyond(last.mean, area_m),
+        intermittency=dict(intermittency),
+        advised_dwell_s=advised_dwell_s or None,
     )
 
 
@@ -141,7 +156,7 @@ def outcome_json(
 
 
 def outcome_text(result: Outcome) -> str:
-    """Four lines for people, each within 60 characters; three if the source is not known."""
+    """Lines for people, each within 60 characters: three, with the source four, and `gas_lines`."""
     ended = "not ceased"
     if result.outside:
         ended = f"{outside_text(result.outside_share, result.outside_to)},"
@@ -157,7 +172,7 @@ def outcome_text(result: Outcome) -> str:
         f"{ended} after {result.steps} steps, {result.distance_m:.1f} m\n"
         f"estimate ({x:.2f}, {y:.2f}) ± {result.spread_m:.2f} m\n"
         f"{source}{assumed_text(result.assume, result.stop, result.world)}"
-    )
+    ) + "".join(f"\n{line}" for line in gas_lines(result.intermittency, result.advised_dwell_s))
 
 
 def assumed_text(assume: str, stop: str, world: str) -> str:
@@ -166,3 +181,39 @@ def assumed_text(assume: str, stop: str, world: str) -> str:
     The world follows if it differs from the model.
     """
     return f"assumed  {assume}, stop {stop}" + ("" if world == AS_MODELLED else f", world {world}")
+
+
+def gas_lines(intermittency: Mapping[str, Quantiles], advised_dwell_s: float | None) -> list[str]:
+    """Lines for people, each within 60 characters: how the gas comes and goes, and how long to hover for it.
+
+    With medians and 90% intervals. No lines where that is taken to be known.
+    """
+    lines = []
+    if "downwind" in intermittency:
+        low, cv, high = intermittency["downwind"]
+        how = "comes in bursts" if cv >= BURSTS else "comes and goes" if cv >= COMES_AND_GOES else "is steady"
+        if low < COMES_AND_GOES and high >= UNKNOWN_CV:
+            how = "may come and go"
+        lines.append(f"gas      {how}: cv {_told(intermittency['downwind'], 2)} near source")
+    puffs = [
+        f"{words}{_told(intermittency[name], 1, unit)}"
+        for name, words, unit in (("puff-rate", "", "/s"), ("puff-share", "share ", ""))
+        if name in intermittency
+    ]
+    if puffs:
+        lines.append(f"puffs    {', '.join(puffs)}")
+    if dwell_s := advised_dwell_s:
+        lines.append(f"advice   hover {dwell_s:g} s for a reading of such gas: --dwell {dwell_s:g}")
+    return lines
+
+
+def _told(quantiles: Quantiles, digits: int, unit: str = "") -> str:
+    """Median and 90% interval with so many significant digits: `0.2 (0.05 to 0.6)`."""
+    low, middle, high = (_short(value, digits) for value in quantiles)
+    return f"{middle}{unit} ({low} to {high})"
+
+
+def _short(value: float, digits: int) -> str:
+    """A number with so many significant digits."""
+    number = float(f"{value:.{digits}g}")
+    return f"{number:g}" if number < 1e5 else f"{number:.0e}"

@@ -4,7 +4,7 @@ Metres, seconds; x east, y north, from home; angles in rad.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -119,6 +119,9 @@ class Measurement:
     estimate: Point
     covariance: tuple[float, float, float]  # (xx, xy, yy) m²
     ceased: bool = False
+    # How the gas comes and goes, and how long to hover for it, s: as of `Belief`.
+    intermittency: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    advised_dwell_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -176,4 +176,6 @@ def rollout(
         world,
         said.outside,
         flown.config.area_m,
+        said.intermittency,
+        said.advised_dwell,
     ), trace

@@ -23,7 +23,7 @@ from link.record.decoded import decode, decode_reading
 from link.record.reader import LogFile, RecordError, is_record
 from link.record.record import FRAME_KEYS, Entry
 from link.terminal import Column, printable, table, tell, width_of
-from plume.outcome import assumed_text, beyond, outcome, outcome_text, outside_text, verdict
+from plume.outcome import assumed_text, beyond, gas_lines, outcome, outcome_text, outside_text, verdict
 from plume.scenario import AS_MODELLED, Scenario
 
 SHORTEST_KEY = 12  # characters of a key that a narrow terminal shows at least
@@ -171,6 +171,8 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         "stop": last.stop,
         "world": world,
         "outside_share": last.outside,
+        "intermittency": last.intermittency,
+        "advised_dwell_s": last.advised_dwell or None,
     }
     try:
         scenario = msgspec.convert(about["scenario"], Scenario)
@@ -179,10 +181,24 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         if ended == "outside":
             ended = f"{outside_text(last.outside, beyond(last.mean))},"
         lines = [f"{ended} after {last.step} steps", estimate]
-        return plain, [*lines, assumed_text(last.assume, last.stop, world)]
+        gas = gas_lines(last.intermittency, last.advised_dwell)
+        return plain, [*lines, assumed_text(last.assume, last.stop, world), *gas]
     trace = [point for _, point in sorted(survey.trace.items())]
     # It has no seed, policy and search time.
-    result = outcome(0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world, last.outside)
+    result = outcome(
+        0,
+        "",
+        scenario,
+        trace,
+        last.ceased,
+        0.0,
+        last.assume,
+        last.stop,
+        world,
+        last.outside,
+        intermittency=last.intermittency,
+        advised_dwell_s=last.advised_dwell,
+    )
     judged = {
         "located": result.located,
         "outside": result.outside,

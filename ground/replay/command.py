@@ -17,7 +17,7 @@ from ground.replay.source import Source, find
 from ground.replay.verify import Rules
 from link import cli
 from link.terminal import tell
-from plume.outcome import assumed_text
+from plume.outcome import assumed_text, gas_lines
 from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
 from plume.sensors import names as sensor
@@ -210,6 +210,7 @@ def _text(result: Player, source: Source, rules: Rules | None, took_s: float) ->
                 f"{math.dist(last.mean, source.truth):.2f} m"
             )
         outcome += f"\n{assumed_text(last.assume, last.stop, source.world)}"
+        outcome += "".join(f"\n{line}" for line in gas_lines(last.intermittency, last.advised_dwell))
     replayed = f"replayed in {took_s:.1f} s: {outcome}"
     if rules is None:
         return replayed
@@ -237,6 +238,8 @@ def _json(result: Player, source: Source, rules: Rules | None) -> str:
             "assume": last.assume if last else None,
             "stop": last.stop if last else None,
             "world": source.world,
+            "intermittency": last.intermittency if last else None,
+            "advised_dwell_s": (last.advised_dwell or None) if last else None,
             "error_m": math.dist(last.mean, source.truth) if last and source.truth else None,
         }
     ).decode()

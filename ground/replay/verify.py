@@ -27,7 +27,15 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "waypoint": tuple(SETPOINT_MESSAGE.fieldnames),
 }
 # Fields that older records lack; then they are not compared.
-NEWER_FIELDS = ("assume", "stop", "evidence", "outside", "wind_p_value")
+NEWER_FIELDS = (
+    "assume",
+    "stop",
+    "evidence",
+    "outside",
+    "wind_p_value",
+    "intermittency",
+    "advised_dwell",
+)
 # Fields shown of a message that only one side has.
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}
 

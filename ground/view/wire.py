@@ -96,6 +96,7 @@ def _header(scene: Scene, sent: Sent) -> dict[str, Any]:
         "assume": scene.assume,
         "craft": _craft(scene.craft) if scene.craft else None,
         "estimate": _estimate(scene.measurements[-1]) if scene.measurements else None,
+        "gas": _gas(scene.measurements[-1]) if scene.measurements else None,
         "waypoint": scene.waypoint,
         "wind": scene.wind,
         "measurements": {"from": measured, "rows": [_row(each) for each in scene.measurements[measured:]]},
@@ -127,6 +128,13 @@ def _craft(craft: Craft) -> dict[str, Any]:
 def _estimate(last: Measurement) -> dict[str, Any]:
     x, y = last.estimate
     return {"x": x, "y": y, "spread_m": last.spread_m, "ellipse": ellipse(last.covariance)}
+
+
+def _gas(last: Measurement) -> dict[str, Any] | None:
+    """How the gas comes and goes, by the belief; None where that is taken to be known."""
+    if not last.intermittency:
+        return None
+    return {"intermittency": last.intermittency, "advised_dwell_s": last.advised_dwell_s}
 
 
 def _row(each: Measurement) -> tuple[float, ...]:

@@ -104,6 +104,18 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "place or from time to time, 1 if it hardly does",
         ),
     ] = 1.0
+    intermittency: Annotated[
+        dict[str, tuple[float, float, float]],
+        Meta(
+            description="how the gas comes and goes: 5, 50 and 95% quantiles of its coefficient of variation "
+            "3 m downwind of the source (`downwind`), and of cv, puff-rate (1/s) and puff-share where they "
+            "are unknown; empty if none is"
+        ),
+    ] = {}
+    advised_dwell: Annotated[
+        float,
+        Meta(ge=0, description="how long to hover for a reading in such gas, s; 0: as long as now"),
+    ] = 0.0
 
 
 class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -208,6 +208,8 @@ class History:
                 said.mean,
                 said.covariance,
                 said.ceased,
+                said.intermittency,
+                said.advised_dwell,
             ),
         )
         self._stop, self._assume = said.stop, said.assume

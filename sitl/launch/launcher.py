@@ -408,6 +408,8 @@ class MissionWatch:
             last.stop,
             script.world,
             last.outside,
+            intermittency=last.intermittency,
+            advised_dwell_s=last.advised_dwell,
         )
         located = bool(result.located)
         came_true = {

@@ -5,7 +5,7 @@ import json
 import msgspec
 import pytest
 
-from plume.outcome import TracePoint, beyond, outcome, outcome_json, outcome_text, verdict
+from plume.outcome import TracePoint, beyond, gas_lines, outcome, outcome_json, outcome_text, verdict
 from plume.scenario import Scenario
 
 SCENARIO = Scenario(source=(3.0, 4.0), q=100.0, u=1.0, phi=0.0, d=1.0, tau=10.0, start=(0.0, 0.0))
@@ -100,6 +100,8 @@ def test_the_json_has_the_fields_that_others_rely_on() -> None:
         "outside",
         "outside_share",
         "outside_to",
+        "intermittency",
+        "advised_dwell_s",
         "trace",
     }
     assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}
@@ -138,4 +140,55 @@ def test_of_a_source_that_nobody_knows_nothing_is_claimed(ceased: bool, verdict:
         f"{verdict} after 2 steps, 2.0 m",
         "estimate (3.00, 4.00) ± 0.40 m",
         "assumed  field, stop spread:0.5",
+    ]
+
+
+BURSTS = {"downwind": (1.08, 1.849, 2.6), "cv": (0.1, 0.4, 0.9), "puff-rate": (2.2, 12.4, 63.0)}
+BURSTS["puff-share"] = (0.047, 0.2, 0.61)
+
+
+def test_the_text_tells_how_the_gas_came_and_went_and_how_long_to_hover() -> None:
+    flight = (1, "random", SCENARIO, flown((3.0, 3.1)), True, 0.1, "field", "spread:0.5", "as-modelled")
+    told = outcome_text(outcome(*flight, intermittency=BURSTS, advised_dwell_s=2.0)).splitlines()
+    assert told[4:] == [
+        "gas      comes in bursts: cv 1.8 (1.1 to 2.6) near source",
+        "puffs    10/s (2 to 60), share 0.2 (0.05 to 0.6)",
+        "advice   hover 2 s for a reading of such gas: --dwell 2",
+    ]
+    assert outcome_text(outcome(*flight, intermittency=BURSTS)).splitlines() == told[:6]  # as long as it did
+    assert outcome_text(outcome(*flight)).splitlines() == told[:4]  # the gas is taken to be known
+    fields = json.loads(outcome_json(outcome(*flight, intermittency=BURSTS, advised_dwell_s=2.0), None))
+    assert fields["intermittency"] == {name: list(values) for name, values in BURSTS.items()}
+    assert fields["advised_dwell_s"] == 2.0
+    assert json.loads(outcome_json(outcome(*flight, intermittency=BURSTS), None))["advised_dwell_s"] is None
+
+
+def test_gas_of_which_little_is_known_has_no_name_yet() -> None:
+    assert gas_lines({"downwind": (0.24, 1.0, 1.9)}, None)[0].startswith(
+        "gas      may come and go: cv 1 (0.24"
+    )
+
+
+@pytest.mark.parametrize(
+    ("cv", "words"),
+    [(0.2, "is steady"), (0.5, "comes and goes"), (0.999, "comes and goes"), (1, "comes in bursts")],
+)
+def test_gas_is_named_by_its_median_cv(cv: float, words: str) -> None:
+    assert gas_lines({"downwind": (0.05, cv, 1.4)}, None)[0].startswith(
+        f"gas      {words}: cv {cv:.2g} (0.05 to 1.4)"
+    )
+
+
+def test_lines_of_the_gas_are_at_most_60_characters() -> None:
+    """With the longest numbers: of cv up to 30, of rates within the prior's 8 sigmas, of shares."""
+    for cv in (0.012345, 0.54321, 12.345, 30.0):
+        for rate in (1.125e-5, 0.012345, 123.45, 123456.0, 8.9e8):
+            said = {"downwind": (cv,) * 3, "puff-rate": (rate,) * 3, "puff-share": (0.023456,) * 3}
+            assert max(map(len, gas_lines(said, 600.0))) <= 60
+
+
+def test_a_share_that_is_known_is_not_told() -> None:
+    assert gas_lines({"downwind": (0.1, 0.2, 0.3), "puff-rate": (10.0, 20.0, 30.0)}, 0.0) == [
+        "gas      is steady: cv 0.2 (0.1 to 0.3) near source",
+        "puffs    20/s (10 to 30)",
     ]

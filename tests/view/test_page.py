@@ -143,6 +143,29 @@ def test_facts_services_and_happenings_are_told(window: Window) -> None:
     ]
 
 
+def test_how_the_gas_comes_and_goes_is_told_where_it_is_not_known(stage: Stage, window: Window) -> None:
+    section = window.page.locator(".intermittency")
+    assert not section.is_visible()
+    said = {
+        "downwind": (1.08, 1.849, 2.6),
+        "cv": (0.1, 0.4, 0.9),
+        "puff-rate": (2.2, 12.4, 63.0),
+        "puff-share": (0.047, 0.2, 0.61),
+    }
+    last = replace(measured(6, 0.4), intermittency=said, advised_dwell_s=2.0)
+    stage.vehicles["uav/1"].show(measurements=(*scene().measurements, last))
+    window.until("document.querySelector('[data-fact=step]').textContent === '6'")
+    assert section.is_visible()
+    facts = {name: window.text(f"[data-fact={name}]") for name in ("downwind", "cv", "puffs", "advice")}
+    assert facts == {
+        "downwind": "cv 1.8 (1.1 to 2.6)",
+        "cv": "cv 0.4 (0.1 to 0.9)",
+        "puffs": "10/s (2 to 60), share 0.2 (0.05 to 0.6)",
+        "advice": "hover 2 s for a reading",
+    }
+    window.keep("gas")
+
+
 def test_a_copter_is_shown_as_it_says_it_is(stage: Stage, look: Callable[..., Window]) -> None:
     """ArduCopter, system 32, held by its pilot: without a battery monitor, and it has lost its GPS. Home
     is 8 m north of its origin.

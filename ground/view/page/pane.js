@@ -101,8 +101,11 @@ export class Pane {
       spread: row ? `${row.spread_m.toFixed(2)} m` : "–",
       stop: stopInWords(scene.stop),
       assume: scene.assume || "–",
+      ...intermittency(scene.gas),
     };
     for (const [name, text] of Object.entries(facts)) setText(this.facts[name], text);
+    this.find(".intermittency").hidden = !scene.gas;
+    mark(this.facts.advice, Boolean(scene.gas?.advised_dwell_s));
     mark(this.facts.gps, /^no /.test(facts.gps));
     mark(this.facts.health, !["ok", "–"].includes(facts.health));
     const leads = LEADING.includes(scene.services.find(({ name }) => name === "uav")?.state);
@@ -200,6 +203,21 @@ function charge(craft) {
   const share = Number.isFinite(craft?.battery) ? `${Math.round(100 * craft.battery)}%` : "";
   const volts = Number.isFinite(craft?.volts) ? `${craft.volts.toFixed(1)} V` : "";
   return [share, volts].filter(Boolean).join(", ") || "–";
+}
+
+/** How the gas comes and goes, by the belief. */
+function intermittency(gas) {
+  const told = (name, digits, unit = "") => {
+    const values = gas?.intermittency[name]?.map((value) => String(Number(value.toPrecision(digits))));
+    return values ? `${values[1]}${unit} (${values[0]} to ${values[2]})` : "";
+  };
+  const share = told("puff-share", 1);
+  return {
+    downwind: told("downwind", 2) && `cv ${told("downwind", 2)}`,
+    cv: told("cv", 2) ? `cv ${told("cv", 2)}` : "–",
+    puffs: [told("puff-rate", 1, "/s"), share && `share ${share}`].filter(Boolean).join(", ") || "–",
+    advice: gas?.advised_dwell_s ? `hover ${gas.advised_dwell_s} s for a reading` : "–",
+  };
 }
 
 function mark(element, warns) {

@@ -270,7 +270,7 @@ def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(
     monkeypatch.setattr(agent.trials.rollout, "choose", choose)
     for seed in (0, 1_000_002):
         flown = agent.trials.rollout.mission(
-            seed, "random", QUICK["particles"], QUICK["threshold_m"], 60, world=world, assume=assume
+            seed, "random", QUICK["particles"], QUICK["threshold_m"], 150, world=world, assume=assume
         )
         steps = list(flown.steps)
         assert steps[-1].belief.ceased or world != "as-modelled"

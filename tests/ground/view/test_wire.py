@@ -87,6 +87,16 @@ def test_a_scene_is_sent_in_full_at_first() -> None:
     assert arrays == {"particles": [1, 2, 0.25, 3, 4, 0.75], "track": [0, 0, 1, 0, 2, 0]}
 
 
+def test_how_the_gas_comes_and_goes_is_that_of_the_newest_belief() -> None:
+    assert sent(SCENE, Sent())[0]["gas"] is None
+    said = {"downwind": (0.5, 1.0, 2.0)}
+    told = replace(measurement(2), intermittency=said, advised_dwell_s=2.0)
+    header, _ = sent(replace(SCENE, measurements=[*SCENE.measurements, told]), Sent())
+    assert header["gas"] == {"intermittency": {"downwind": [0.5, 1.0, 2.0]}, "advised_dwell_s": 2.0}
+    assert sent(replace(SCENE, measurements=[told, measurement(3)]), Sent())[0]["gas"] is None
+    assert sent(replace(SCENE, measurements=[]), Sent())[0]["gas"] is None
+
+
 def test_only_what_is_new_follows() -> None:
     cursor = Sent()
     sent(SCENE, cursor)

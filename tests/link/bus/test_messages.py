@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from link.bus.messages import Stop, pack_particles, unpack_particles
+from link.bus.messages import Belief, Stop, pack_particles, unpack_particles
 
 STOP = Stop(
     time_boot_ms=5, step=3, estimate=(0.1, 1 / 3), covariance=(1.0, 0.0, 1.0), spread=0.4, threshold=0.5
@@ -52,3 +52,44 @@ def test_weights_that_weigh_nothing_are_refused(weights: tuple[float, float]) ->
         unpack_particles(
             pack_particles(np.array([[1.0, 2.0, weights[0]], [3.0, 4.0, weights[1]]], np.float32)), 2
         )
+
+
+SAID = Belief(
+    time_boot_ms=5,
+    step=3,
+    position=(1.0, 2.0),
+    altitude_m=5.0,
+    gas=0.5,
+    wind=(1.0, 0.0),
+    sensor="gaussian:0.3,0.2",
+    rate=300.0,
+    diffusivity=4.5,
+    lifetime=10.0,
+    z=5.0,
+    unknowns=("x", "y"),
+    means=(1.0, 2.0),
+    stds=(0.1, 0.1),
+    mean=(1.0, 2.0),
+    covariance=(0.01, 0.0, 0.01),
+    spread=0.14,
+    effective_sample_size=900.0,
+    p_value=0.5,
+    ceased=False,
+    intermittency={"downwind": (0.1, 0.2, 0.3)},
+    advised_dwell=2.0,
+)
+
+
+def test_beliefs_of_older_records_say_nothing_of_how_the_gas_comes_and_goes() -> None:
+    assert msgspec.json.decode(msgspec.json.encode(SAID), type=Belief) == SAID
+    fields = msgspec.to_builtins(SAID)
+    del fields["intermittency"], fields["advised_dwell"]
+    older = msgspec.json.decode(msgspec.json.encode(fields), type=Belief)
+    assert (older.intermittency, older.advised_dwell) == ({}, 0.0)
+
+
+@pytest.mark.parametrize("wrong", [{"downwind": [0.1, 0.2]}, {"downwind": None}, [0.1, 0.2, 0.3]])
+def test_quantiles_that_are_no_three_numbers_are_refused(wrong: object) -> None:
+    fields = msgspec.to_builtins(SAID) | {"intermittency": wrong}
+    with pytest.raises(msgspec.ValidationError, match="intermittency"):
+        msgspec.json.decode(msgspec.json.encode(fields), type=Belief)

@@ -73,11 +73,11 @@ MISTAKES = {
         "phi: 1.5",
         "fi: 1.5",
     ): "3: scenario.fi: unknown field; allowed: source, q, u, phi, d, tau, start, height",
-    ("[12, 13]", "[12, 31]"): "3: scenario.source[1]: 31 is not allowed; wanted a number from 0 up to 30",
+    ("[12, 13]", "[12, 61]"): "3: scenario.source[1]: 61 is not allowed; wanted a number from -30 up to 60",
     (
         "[12, 13]",
         "12",
-    ): "3: scenario.source: 12 is not allowed; wanted (x, y) m, x east, y north, each from 0 to 30",
+    ): "3: scenario.source: 12 is not allowed; wanted (x, y) m, x east, y north, each from -30 to 60",
     (
         "{phi: 1.5, source: [12, 13]}",
         "windy",
@@ -132,8 +132,8 @@ MISTAKES = {
     ): "12: events[3].time_s: not allowed for waypoints, which answer readings; wanted step",
     (
         "located, r",
-        "found, r",
-    ): "15: expect[0]: 'found' is not allowed; wanted one of ceased, false stop, landed, located, not "
+        "seen, r",
+    ): "15: expect[0]: 'seen' is not allowed; wanted one of ceased, false stop, landed, located, not "
     "ceased, ",
     (
         "expect: [located, returned home]",
@@ -152,11 +152,11 @@ MISTAKES = {
     (
         "[12, 13]",
         "[12]",
-    ): "3: scenario.source: [12] is not allowed; wanted (x, y) m, x east, y north, each from 0 to 30",
+    ): "3: scenario.source: [12] is not allowed; wanted (x, y) m, x east, y north, each from -30 to 60",
     (
         "[12, 13]",
         "[12, 13, 14]",
-    ): "3: scenario.source: [12, 13, 14] is not allowed; wanted (x, y) m, x east, y north, each from 0 to 30",
+    ): "3: scenario.source: [12, 13, 14] is not allowed; wanted (x, y) m, x east, y north, each from -30 to 60",
     (
         "do: wind, phi: 2",
         "do: [wind]",
