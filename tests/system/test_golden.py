@@ -98,7 +98,7 @@ def compiled(self, *arguments, **words):
     raise AssertionError(f"{self.py_func.__name__} is compiled in flight")
 Dispatcher._compile_for_args = compiled
 from agent.trials.rollout import mission
-ceased = [step.belief.ceased for assume in ("paper", "field") for step in mission(26, "greedy", 100, 0.9, 60, assume=assume).steps]
+ceased = [step.belief.ceased for assume in ("paper", "field") for step in mission(26, "homing", 100, 0.9, 60, assume=assume).steps]
 print(sum(ceased))
 """
 
