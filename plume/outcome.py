@@ -186,20 +186,21 @@ def assumed_text(assume: str, stop: str, world: str) -> str:
 def gas_lines(intermittency: Mapping[str, Quantiles], advised_dwell_s: float | None) -> list[str]:
     """Lines for people, each within 60 characters: how the gas comes and goes, and how long to hover for it.
 
-    With medians and 90% intervals. No lines where that is taken to be known.
+    With medians and 90% intervals; of puffs where it comes and goes. No lines where that is taken to be known.
     """
-    lines = []
+    lines, puffs = [], []
     if "downwind" in intermittency:
         low, cv, high = intermittency["downwind"]
         how = "comes in bursts" if cv >= BURSTS else "comes and goes" if cv >= COMES_AND_GOES else "is steady"
         if low < COMES_AND_GOES and high >= UNKNOWN_CV:
             how = "may come and go"
+        elif cv >= COMES_AND_GOES:
+            puffs = [
+                f"{words}{_told(intermittency[name], 1, unit)}"
+                for name, words, unit in (("puff-rate", "", "/s"), ("puff-share", "share ", ""))
+                if name in intermittency
+            ]
         lines.append(f"gas      {how}: cv {_told(intermittency['downwind'], 2)} near source")
-    puffs = [
-        f"{words}{_told(intermittency[name], 1, unit)}"
-        for name, words, unit in (("puff-rate", "", "/s"), ("puff-share", "share ", ""))
-        if name in intermittency
-    ]
     if puffs:
         lines.append(f"puffs    {', '.join(puffs)}")
     if dwell_s := advised_dwell_s:
