@@ -186,7 +186,7 @@ def assumed_text(assume: str, stop: str, world: str) -> str:
 def gas_lines(intermittency: Mapping[str, Quantiles], advised_dwell_s: float | None) -> list[str]:
     """Lines for people, each within 60 characters: how the gas comes and goes, and how long to hover for it.
 
-    With medians and 90% intervals; of puffs where it comes and goes. No lines where that is taken to be known.
+    With medians and 90% intervals; of puffs where it comes and goes. No lines where it is taken to be known.
     """
     lines, puffs = [], []
     if "downwind" in intermittency:
