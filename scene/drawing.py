@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
-from matplotlib.patches import Ellipse, FancyArrowPatch, Rectangle
+from matplotlib.patches import Ellipse, FancyArrowPatch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
@@ -232,7 +232,7 @@ class Drawing:
         shades = plume(self.map, release, side_m) if release else ScalarMappable(LogNorm(*GAS), PLUME)
         for source in release.sources if release else ():
             self.map.plot(*source, **SOURCE)
-        self.map.add_patch(Rectangle((0, 0), side_m, side_m, fill=False, color=INK, linewidth=1))
+        self.map.plot((0, side_m, side_m, 0, 0), (0, 0, side_m, side_m, 0), color=INK, linewidth=1, zorder=1)
         self.map.set(aspect="equal", xlabel="east, m", ylabel="north, m")
         bar = self.figure.colorbar(shades, cax=self.figure.add_axes((0.475, MAP[1], 0.014, 0.5)))
         bar.set_label("gas, mean and measured, g/m³" if release else "gas measured, g/m³")

@@ -174,3 +174,15 @@ def test_more_particles_do_not_hide_more_of_the_map(drawing: Any) -> None:
 def test_a_scene_without_a_reading_can_be_drawn() -> None:
     empty = Scene(Backdrop("uav/1"))
     assert blank(empty).show(empty).pixels().shape == (540, 960, 3)
+
+
+def test_the_map_widens_for_an_estimate_outside_the_area_and_shows_where_that_ends() -> None:
+    far = Measurement(4, 4.0, (1.0, 5.0), 0.1, 3.0, (-4.0, 13.0), (4.0, 0.0, 1.0))
+    wide = blank(scene(), steps=4)
+    assert wide.map.get_xlim() == (0, 30)
+    wide.show(replace(scene(), measurements=[*TAKEN, far]))
+    (low, high), (south, north) = wide.map.get_xlim(), wide.map.get_ylim()
+    assert low <= -4 < 0 < 30 < high
+    assert (south, north) == (low, high)
+    edge, inside, outside = (colour_at(wide, (x, 15.0)) for x in (30.0, 29.0, 31.0))
+    assert edge.sum() < min(inside.sum(), outside.sum()) - 100

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from plume.dispersion import concentration
-from scene.scene import Backdrop, Release, Scene, ellipse
+from scene.scene import Backdrop, Release, Scene, ellipse, judged
 
 
 def test_the_ellipse_of_a_turned_covariance_has_two_standard_deviations_as_half_axes() -> None:
@@ -39,3 +39,17 @@ def test_only_a_spread_has_a_threshold() -> None:
     assert Scene(Backdrop("uav/1"), stop="spread:0.4").threshold_m == 0.4
     for other in ("", "spread", "spread:x", "within:1,0.99"):
         assert Scene(Backdrop("uav/1"), stop=other).threshold_m is None
+
+
+def test_a_stop_outside_the_area_says_so_and_one_near_either_source_is_right() -> None:
+    release = Release((31.0, 20.0), (2.0, 0.0), q=300.0, d=2.0, tau=10.0)
+    told = judged(40, (33.0, 20.0), 2.5, 0.96, release)
+    assert told.verdict == "outside"
+    assert told.text == (
+        "source outside, to the east (96%), near (33.00, 20.00) ± 2.50 m after 40 steps; error 2.00 m"
+    )
+    assert judged(40, (33.0, 20.0), 2.5, 0.9, release).verdict == "FALSE STOP"
+    two = Release((11.0, 20.0), (2.0, 0.0), q=300.0, d=2.0, tau=10.0, second=(20.0, 5.0))
+    assert judged(40, (20.5, 5.0), 0.4, 0.0, two).verdict == "located"
+    single = [Release(place, (2.0, 0.0), q=300.0, d=2.0, tau=10.0) for place in two.sources]
+    assert two.gas(30.0, 12) == pytest.approx(sum(each.gas(30.0, 12) for each in single), rel=1e-5)
