@@ -188,7 +188,13 @@ def test_lines_of_the_gas_are_at_most_60_characters() -> None:
 
 
 def test_a_share_that_is_known_is_not_told() -> None:
-    assert gas_lines({"downwind": (0.1, 0.2, 0.3), "puff-rate": (10.0, 20.0, 30.0)}, 0.0) == [
-        "gas      is steady: cv 0.2 (0.1 to 0.3) near source",
+    assert gas_lines({"downwind": (0.5, 0.7, 0.9), "puff-rate": (10.0, 20.0, 30.0)}, 0.0) == [
+        "gas      comes and goes: cv 0.7 (0.5 to 0.9) near source",
         "puffs    20/s (10 to 30)",
+    ]
+
+
+def test_puffs_of_steady_gas_are_not_told() -> None:
+    assert gas_lines({"downwind": (0.1, 0.2, 0.3), "puff-rate": (10.0, 20.0, 30.0)}, 0.0) == [
+        "gas      is steady: cv 0.2 (0.1 to 0.3) near source"
     ]

@@ -51,7 +51,7 @@ def completed(line: str, cwd: Path) -> set[str]:
         ("plumeward payload --world tau-h", {"tau-halved"}),
         ("plumeward uav --world tau-h", {"tau-halved"}),
         ("plumeward rollout --world wind", {"wind-10", "wind-30", "wind-noisy"}),
-        ("plumeward evaluate --world cv-1,so", {"cv-1,source-outside"}),
+        ("plumeward evaluate --world cv-1,so", {"cv-1,source-outside", "cv-1,source-beyond"}),
         ("plumeward fly --assume f", {"field"}),
         ("plumeward rollout --policy lo", {"lookahead"}),
         ("plumeward evaluate --policy homing,gr", {"homing,greedy"}),

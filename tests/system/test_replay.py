@@ -192,6 +192,9 @@ class TestVerify:
             "assume": "paper",
             "stop": "spread:0.5",
             "world": "as-modelled",
+            "outside_share": 0.0,
+            "intermittency": {},
+            "advised_dwell_s": None,
         }
 
     def test_a_changed_field_of_a_belief_is_named_with_both_values(

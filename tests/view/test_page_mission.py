@@ -86,7 +86,7 @@ def test_a_mission_from_the_ground_to_its_outcome_with_an_operators_commands(
     window.page.keyboard.press("t")
     window.until(f"{MODEL}.scene.truth")
     window.drawn()
-    x, y = window.model("scene.truth.source")
+    x, y = window.model("scene.truth.sources[0]")
     assert window.count("truth", (x - 1, y - 1, x + 1, y + 1)) > 60
     window.keep("located")
     assert window.violations() == []
