@@ -23,7 +23,8 @@ import numpy as np
 from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.figures import UNKNOWN, bootstrap, wilson
 from agent.trials.rollout import mission
-from benchmarks.trust import BUDGET, DEFAULT, PARTICLES, table
+from benchmarks.pages import placed, table
+from benchmarks.trust import BUDGET, DEFAULT, PARTICLES
 from estimator.criterion import USUAL_THRESHOLD_M
 from estimator.dwell import DOWNWIND
 from link import cli
@@ -206,13 +207,7 @@ def page(text: str, rows: Sequence[Search]) -> str:
         ["world", *gas, "longer, %", "ever in flight, %", "first at reading"],
         [held_out_line(found) for cell, found in flown if cell.first_seed >= HELD_OUT_SEED],
     )
-    for name, new in (("dwell", chosen), ("advice", tested)):
-        before, begin, rest = text.partition(f"<!-- {name} -->\n")
-        _, end, after = rest.partition("<!-- end -->")
-        if not begin or not end:
-            raise ValueError(f"the page has no lines <!-- {name} --> and <!-- end --> for the table")
-        text = f"{before}{begin}\n{new}\n{end}{after}"
-    return text
+    return placed(placed(text, "dwell", chosen), "advice", tested)
 
 
 def main() -> None:

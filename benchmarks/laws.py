@@ -20,7 +20,7 @@ import numpy as np
 
 from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.figures import nees
-from benchmarks.trust import table
+from benchmarks.pages import placed, table
 from estimator.criterion import USUAL_THRESHOLD_M
 from estimator.kernels.densities import gas_density
 from link import cli
@@ -40,7 +40,6 @@ from plume.worlds.world import World
 ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "results" / "laws" / "figures.csv"
 PAGE = ROOT / "docs" / "physics.md"
-BEGIN, END = "<!-- laws -->\n", "<!-- end -->"
 # Kind of a law, and whether its cv is that of the puffs at each place. The estimator has CLIPPED.
 GAMMA, INVERSE_GAUSSIAN, CLIPPED = range(3)
 LAWS = {
@@ -273,10 +272,6 @@ def keep(rows: Iterable[Row], path: Path) -> None:
 
 def page(text: str, rows: Iterable[Row]) -> str:
     """Return the page with its table made anew. Raises ValueError if it has no place for it."""
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"the page has no lines {BEGIN.strip()} and {END} to put the table between")
     heads = ["world", "law", "false, %", "ceased, %", "NEES: mean (median)", "MTD, m", "log score"]
     lines = [
         [
@@ -290,7 +285,7 @@ def page(text: str, rows: Iterable[Row]) -> str:
         ]
         for row in rows
     ]
-    return f"{before}{begin}\n{table(heads, lines)}\n{end}{after}"
+    return placed(text, "laws", table(heads, lines))
 
 
 def main() -> None:

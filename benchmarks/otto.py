@@ -21,14 +21,13 @@ from agent.trials.evaluate import FIRST_TEST_SEED
 from benchmarks.otto_grid import CASES, Search, search
 from benchmarks.otto_rules import RULES
 from benchmarks.otto_value import CASE, value
-from benchmarks.trust import table
+from benchmarks.pages import placed, table
 from link import cli
 from link.files import whole
 
 ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "results" / "otto" / "figures.csv"
 PAGE = ROOT / "docs" / "planners.md"
-BEGIN, END = "<!-- otto -->\n", "<!-- end -->"
 VALUE = "value policy"
 RUNS = {"isotropic-19x19": 6000, "isotropic-53x53": 1000, "windy-medium": 800, "windy-low": 200}
 
@@ -128,11 +127,7 @@ def cell(row: Row | None) -> str:
 
 def page(text: str, rows: Iterable[Row]) -> str:
     """Return the page with its table made anew. Raises ValueError if it has no place for it."""
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"the page has no lines {BEGIN.strip()} and {END} to put the table between")
-    return f"{before}{begin}\n{shown(rows)}\n{end}{after}"
+    return placed(text, "otto", shown(rows))
 
 
 def write(new: Row) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from agent.learn.env import SourceSearchVector
 from benchmarks.env import USUAL, Flight, side_by_side, speeds
-from benchmarks.trust import table
+from benchmarks.pages import placed, table
 from link import cli
 from link.files import whole
 from plume.elementary import Array
@@ -36,7 +36,6 @@ ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "results" / "puffs" / "figures.csv"
 PAGE = ROOT / "docs" / "worlds.md"
 PICTURE = "puffs.png"  # beside the page
-BEGIN, END = "<!-- puffs -->\n", "<!-- end -->"
 WORLDS = (
     "puffs:share=0.05",
     "puffs:share=0.2",
@@ -250,11 +249,7 @@ def shown(rows: Sequence[Row]) -> str:
 
 def page(text: str, rows: Sequence[Row]) -> str:
     """Return the page with its table made anew. Raises ValueError if it has no place for it."""
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"the page has no lines {BEGIN.strip()} and {END} to put the table between")
-    return f"{before}{begin}\n{shown(rows)}\n{end}{after}"
+    return placed(text, "puffs", shown(rows))
 
 
 def write(rows: Sequence[Row], document: Path) -> None:

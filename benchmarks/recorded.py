@@ -25,7 +25,8 @@ from agent.trials.evaluate import FIRST_TEST_SEED, KEPT_IN, read_csv, write_csv
 from agent.trials.figures import UNKNOWN, MissionRow, cell, figures
 from agent.trials.sweep import Sweep, fly
 from benchmarks import solver
-from benchmarks.trust import BUDGET, DEFAULT, PARTICLES, STOPS, table
+from benchmarks.pages import placed, table
+from benchmarks.trust import BUDGET, DEFAULT, PARTICLES, STOPS
 from link import cli
 from link.files import whole
 from plume.elementary import Array
@@ -35,7 +36,6 @@ from plume.worlds.names import named
 ROOT = Path(__file__).parents[1]
 ROWS = ROOT / "results" / "recorded" / "missions.csv.gz"
 PAGE = ROOT / "docs" / "trust.md"
-BEGIN, END = "<!-- recorded -->\n", "<!-- end -->"
 FILMS = KEPT_IN / "recorded"
 SEED = 1  # of the films
 LENGTH_S, FPS = 600.0, 5
@@ -137,10 +137,6 @@ def line(name: str, stop: str, rows: Sequence[MissionRow]) -> list[str]:
 
 def page(text: str, rows: Sequence[MissionRow]) -> str:
     """Return the page with its table made anew. Raises ValueError if it has no place for it."""
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"the page has no lines {BEGIN.strip()} and {END} to put the table between")
     heads = ["plume", "stop", "false, %", "warned", "ceased / located", "MTD, m", "NEES: mean (median)"]
     lines = [
         line(name, stop.text, of)
@@ -150,7 +146,7 @@ def page(text: str, rows: Sequence[MissionRow]) -> str:
     ]
     missions = max((len({row.seed for row in rows if row.world == name}) for name in PLUMES), default=0)
     made = f"N = {PARTICLES:,}, at most {BUDGET} steps, {missions} missions in each plume.\n"
-    return f"{before}{begin}\n{table(heads, lines)}\n{made}\n{end}{after}"
+    return placed(text, "recorded", f"{table(heads, lines)}\n{made}")
 
 
 def main() -> None:

@@ -18,7 +18,8 @@ import numpy as np
 from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.figures import wilson
 from agent.trials.rollout import mission
-from benchmarks.trust import BUDGET, DEFAULT, PARTICLES, table
+from benchmarks.pages import placed, table
+from benchmarks.trust import BUDGET, DEFAULT, PARTICLES
 from estimator.criterion import USUAL_THRESHOLD_M
 from link import cli
 from link.files import whole
@@ -28,7 +29,6 @@ from plume.sensors.instruments import INSTRUMENTS
 from plume.sensors.names import GAUSSIAN, lags, parse, text
 
 PAGE = Path(__file__).parents[1] / "docs" / "sensors.md"
-BEGIN, END = "<!-- dwells -->\n", "<!-- end -->"
 MISSIONS = 300
 DWELLS_S = {AS_MODELLED: (0.0, 1.0, 2.0, 5.0, 10.0, 20.0), "puffs:share=0.2": (0.0, 2.0, 5.0)}
 
@@ -104,10 +104,9 @@ def main() -> None:
         "MTD, m",
         "time to the stop, s",
     ]
-    before, begin, rest = PAGE.read_text().partition(BEGIN)
-    _, end, after = rest.partition(END)
+    made = placed(PAGE.read_text(), "dwells", table(heads, lines))
     with whole(PAGE) as partial:
-        partial.write_text(f"{before}{begin}\n{table(heads, lines)}\n{end}{after}")
+        partial.write_text(made)
     print(PAGE)
 
 

@@ -15,7 +15,7 @@ of a world are written when all its missions are complete. They have a folder of
 import csv
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from agent.trials.evaluate import FIRST_TEST_SEED, KEPT_IN, read_csv, write_csv
 from agent.trials.figures import COLUMNS, UNKNOWN, MissionRow, cell, figures, wilson
 from agent.trials.sweep import Sweep, flown, journal_of, on_cores
 from agent.trials.workers import WorkerLost
+from benchmarks.pages import placed, table
 from estimator.criterion import Criterion
 from link import cli
 from link.files import whole
@@ -289,11 +290,6 @@ def _travelled(rows: Sequence[MissionRow]) -> str:
     )
 
 
-def table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
-    """Return a table in Markdown."""
-    return "".join(f"| {' | '.join(line)} |\n" for line in (heads, ["---"] * len(heads), *lines))
-
-
 def page(text: str, rows: Rows, said: Said) -> str:
     """Return the page with its tables made anew from all rows; its prose stays. Raises ValueError if it
     has no place for a table.
@@ -304,18 +300,7 @@ def page(text: str, rows: Rows, said: Said) -> str:
         f"\nN = {PARTICLES:,}, at most {BUDGET} steps, {many} missions for each assumption, policy and "
         "world.\n"
     )
-    for name, new in (
-        ("promise", promise(rows) + made),
-        ("worlds", worlds(said, rows)),
-    ):
-        before, begin, rest = text.partition(f"<!-- {name} -->\n")
-        _, end, after = rest.partition("<!-- end -->")
-        if not begin or not end:
-            raise ValueError(
-                f"the page has no lines <!-- {name} --> and <!-- end --> to put the table between"
-            )
-        text = f"{before}{begin}\n{new}\n{end}{after}"
-    return text
+    return placed(placed(text, "promise", promise(rows) + made), "worlds", worlds(said, rows))
 
 
 def main() -> int:

@@ -87,9 +87,9 @@ def effective_priors(
     return priors | dict(given)
 
 
-def margin(assume: str, area_m: float) -> float:
-    """Return how far beyond the edges of an area with this side the source may be, m."""
-    return MARGIN[assume] * area_m
+def margin(assume: str, area_m: float, given_m: float | None) -> float:
+    """Return how far beyond the edges of an area with this side the source may be, m, unless it is given."""
+    return MARGIN[assume] * area_m if given_m is None else given_m
 
 
 def _check(given: Mapping[str, Prior], sensor: Sensor) -> None:

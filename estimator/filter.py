@@ -108,7 +108,7 @@ class Config:
     @property
     def margin(self) -> float:
         """How far beyond the area's edges the source may be, m."""
-        return margin(self.assume, self.area_m) if self.margin_m is None else self.margin_m
+        return margin(self.assume, self.area_m, self.margin_m)
 
     @cached_property
     def unknown_indices(self) -> Indices:

@@ -68,7 +68,7 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
         for text in args.prior:
             name, prior = parse(text)
             if not isinstance(prior, Fixed):
-                margin_m = margin(args.assume, area_m) if args.margin is None else args.margin
+                margin_m = margin(args.assume, area_m, args.margin)
                 rows, index = table({name: prior}, {}, area_m, margin_m), np.array([PARAMETERS.index(name)])
                 draw(rows, index, TRIED, keyed(0, "trial"))
             priors[name] = prior

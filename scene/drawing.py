@@ -278,6 +278,7 @@ class Drawing:
         release, side_m = self._backdrop.release, self._backdrop.area_m
         places = [*(it.estimate for it in scene.measurements[-1:]), *(release.sources if release else ())]
         beyond_m = max((max(-along, along - side_m) for place in places for along in place), default=0.0)
+        beyond_m = min(beyond_m, side_m)  # a record may say absurd things
         needed = max(steps, default=0), -min(gas, default=0.0), max(gas, default=0.0), beyond_m
         room = [had if need <= had else 2.0 * need for had, need in zip(self._room, needed, strict=True)]
         if room != self._room:

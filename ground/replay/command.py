@@ -204,7 +204,7 @@ def _text(result: Player, source: Source, rules: Rules | None, took_s: float) ->
         x, y = last.mean
         ceased = "not ceased" if result.ceased_at is None else f"ceased at step {result.ceased_at}"
         if verdict(result.ceased_at is not None, last.mean, None, last.outside) == "outside":
-            ceased += f": {outside_text(last.outside, beyond(last.mean))}"
+            ceased += f": {outside_text(last.outside, beyond(last.mean, source.area_m))}"
         outcome = f"{last.step + 1} readings, {ceased}\nestimate ({x:.2f}, {y:.2f}) ± {last.spread:.2f} m"
         if source.truth:
             outcome += (

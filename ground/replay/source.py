@@ -17,7 +17,7 @@ from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.cli import BadInput
 from link.record.reader import RecordError, is_record, read
 from link.record.record import Entry
-from plume.scenario import AS_MODELLED
+from plume.scenario import AREA_M, AS_MODELLED
 from plume.sensors import names as sensor
 from sitl.script import script
 
@@ -71,6 +71,7 @@ class Source(NamedTuple):
     budget: float = math.inf  # the agent's step budget
     truth: tuple[float, float] | None = None  # true location of the source, m; None if unknown
     world: str = AS_MODELLED  # how the truth differs from what the estimator was told; as modelled if unknown
+    area_m: float = AREA_M  # side of the search area
     notes: tuple[str, ...] = ()  # remarks on the log, one line each
 
 
@@ -189,6 +190,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         False,
         truth=world.truth.source if world else None,
         world=world.name if world else AS_MODELLED,
+        area_m=flown.area_m,
         notes=tuple(flown.notes),
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks import otto, otto_value
-from benchmarks.otto import BEGIN, FIGURES, PAGE, Row, page, read
+from benchmarks.otto import FIGURES, PAGE, Row, page, read
 from benchmarks.otto_grid import (
     CASES,
     NEARLY,
@@ -313,7 +313,7 @@ def test_the_kept_rows_agree_with_ottos_within_two_standard_errors(case: str, pl
 
 def test_one_case_is_run_and_the_rows_of_others_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     document, figures = tmp_path / "planners.md", tmp_path / "figures.csv"
-    document.write_text(f"# Planners\n\n{BEGIN}<!-- end -->\nMore.\n")
+    document.write_text("# Planners\n\n<!-- otto -->\n<!-- end -->\nMore.\n")
     kept = Row("windy-low", "homing", 7, 300.0, 20.0, 0.25)
     otto.keep([kept], figures)
     monkeypatch.setattr(otto, "PAGE", document)

@@ -95,7 +95,7 @@ export function round(least) {
 /** How far the estimate or a true source is beyond the area's edges, m. */
 function beyond({ area_m, estimate, truth }) {
   const along = [...(estimate ? [estimate.x, estimate.y] : []), ...(truth?.sources ?? []).flat()];
-  return Math.max(0, ...along.map((m) => Math.max(-m, m - area_m)));
+  return Math.min(area_m, Math.max(0, ...along.map((m) => Math.max(-m, m - area_m)))); // a record may say absurd things
 }
 
 function drawGrid(g, view, area_m) {
