@@ -189,7 +189,7 @@ def test_the_map_widens_for_an_estimate_outside_the_area_and_shows_where_that_en
 
 
 def test_an_absurd_estimate_leaves_the_area_in_sight() -> None:
-    absurd = Measurement(4, 4.0, (1.0, 5.0), 0.1, 3.0, (-1e308, 13.0), (4.0, 0.0, 1.0))
+    absurd = Measurement(4, 4.0, (1.0, 5.0), 0.1, 3.0, (-1e100, 13.0), (4.0, 0.0, 1.0))
     wide = blank(scene(), steps=4).show(replace(scene(), measurements=[*TAKEN, absurd]))
     assert wide.map.get_xlim() == (-60, 90)
     assert wide.pixels().shape[2] == 3
