@@ -1,9 +1,8 @@
 """What the stop is worth: missions in all worlds under both assumptions, and the tables of docs/trust.md.
 
-    python -m benchmarks.trust                                        # every world, assumption and policy,
-    on all cores python -m benchmarks.trust --resume                               # the missing missions
-    only; if none is missing, only the tables python -m benchmarks.trust --world wind-30 --policy homing
-    # these again; all other results stay
+    python -m benchmarks.trust           # every world, assumption and policy, on all cores
+    python -m benchmarks.trust --resume  # the missing missions only; if none is missing, only the tables
+    python -m benchmarks.trust --world wind-30 --policy homing  # these again; all other results stay
 
 Missions are flown as `plumeward evaluate` flies them, from the test seeds (1,000,000 and up); one flight
 serves all stop criteria. results/trust/ASSUME-POLICY.csv.gz holds one row per mission, stop criterion and
@@ -99,16 +98,18 @@ Said = Mapping[tuple[str, str, str, str], dict[str, Any]]
 """`figures` by (assumption, policy, world, stop criterion)."""
 
 
-def fly(cell: Cell, seeds: range, workers: int) -> tuple[list[MissionRow], Path]:
-    """Fly the missions of a cell as `evaluate` does; returns their rows, and the journal that an
-    interrupted call leaves.
+def fly(cell: Cell, seeds: range, workers: int, there: Sequence[MissionRow]) -> tuple[list[MissionRow], Path]:
+    """Fly the missions of a cell that are not `there` as `evaluate` does.
+
+    Returns all their rows, and the journal that an interrupted call leaves.
     """
     assume, name, label = cell
     world, sensor = WITH.get(label, (label, sensor_text(GAUSSIAN)))
     known = {"assume": assume, "sensor": parse(sensor)}
     sweep = Sweep((name,), seeds, (PARTICLES,), STOPS, BUDGET, knowledge=known, worlds=(world,))
     journal = journal_of(sweep, KEPT_IN)
-    return flown(sweep, journal, on_cores(workers), f"missions of {', '.join(cell)}", "starting"), journal
+    what = f"missions of {', '.join(cell)}"
+    return flown(sweep, journal, on_cores(workers), what, "starting", there), journal
 
 
 def read(results: Path) -> Rows:
@@ -355,7 +356,8 @@ def main() -> int:
     done = 0
     try:
         for flown in cells:
-            rows, journal = fly(flown, seeds, args.workers)
+            known = [row for of in there.get(flown, {}).values() for row in of]
+            rows, journal = fly(flown, seeds, args.workers, known)
             keep(args.results, flown, rows)
             journal.unlink(missing_ok=True)
             done += 1
