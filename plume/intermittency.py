@@ -12,6 +12,7 @@ hardly varies. That depends on c* and ρ alone, and is kept in a table.
 
 import math
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -96,22 +97,27 @@ def _binary_power(x: float) -> float:
     return (1 + x - whole) * 2.0**whole
 
 
-@kernel("float64[:, ::1]()")
-def _corrections() -> Array:
-    """The table (SQUARE_CELLS + 1, RATIO_CELLS + 1): the factor that is left out, 1 at great modes."""
-    result = np.ones((SQUARE_CELLS + 1, RATIO_CELLS + 1))
-    for row in range(SQUARE_CELLS):
-        c = math.sqrt(_binary_power(LOW_SQUARE + row / SQUARE_FRACTION))
-        for column in range(RATIO_CELLS + 1):
-            ratio = _binary_power(LOW_RATIO + column / RATIO_FRACTION)
-            lam, w = ratio * c * c * c, 0.5 * ratio * c - c
-            at_mode = -1.5 * log(c) - lam / (2 * c) - w * c - 0.5 * c * c + HALF_LOG_2PI
-            near_0 = math.sqrt((ratio + exp(-c * c)) / (ratio * (1 + ratio)))
-            result[row, column] = exp(_log_integral(lam, w, c) - at_mode) / near_0
+@subroutine
+def correction_row(row: int) -> Array:
+    """Compute a row (RATIO_CELLS + 1,) of CORRECTIONS by quadrature: the factor that is left out, 1 at great
+    modes.
+    """
+    result = np.ones(RATIO_CELLS + 1)
+    if row == SQUARE_CELLS:
+        return result
+    c = math.sqrt(_binary_power(LOW_SQUARE + row / SQUARE_FRACTION))
+    for column in range(RATIO_CELLS + 1):
+        ratio = _binary_power(LOW_RATIO + column / RATIO_FRACTION)
+        lam, w = ratio * c * c * c, 0.5 * ratio * c - c
+        at_mode = -1.5 * log(c) - lam / (2 * c) - w * c - 0.5 * c * c + HALF_LOG_2PI
+        near_0 = math.sqrt((ratio + exp(-c * c)) / (ratio * (1 + ratio)))
+        result[column] = exp(_log_integral(lam, w, c) - at_mode) / near_0
     return result
 
 
-CORRECTIONS = _corrections()
+# (SQUARE_CELLS + 1, RATIO_CELLS + 1): all rows of `correction_row`, in a file because they take seconds.
+CORRECTIONS_FILE = Path(__file__).with_suffix(".npy")
+CORRECTIONS = np.load(CORRECTIONS_FILE)
 
 
 @partial(subroutine, forceinline=True)

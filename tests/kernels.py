@@ -8,22 +8,34 @@ from pathlib import Path
 from numba.core.caching import UserProvidedCacheLocator
 
 FOLDERS = ("plume", "estimator", "agent", "benchmarks")
+HALVES = (("estimator",), ("plume", "agent", "benchmarks"))
+"""Compiled side by side: the kernels of the estimator use each other and take half of the time. Of the others,
+the last to be imported, which is the first by its name, imports them, too.
+"""
 
 
 def compile_kernels(root: Path) -> None:
     """Fill the cache of a checkout."""
-    files = [path for folder in FOLDERS for path in sorted((root / folder).rglob("*.py"))]
-    modules = [
-        ".".join(path.relative_to(root).with_suffix("").parts)
-        for path in files
-        if "\n@kernel(" in path.read_text()
-    ]
-    # A module that cannot be imported fails its own tests.
-    code = (
-        f"import contextlib, importlib\nfor name in {modules}:\n    with contextlib.suppress(Exception): "
-        "importlib.import_module(name)"
-    )
-    subprocess.run([sys.executable, "-c", code], cwd=root, check=False, timeout=3000)
+    halves = []
+    for folders in HALVES:
+        modules = [
+            ".".join(path.relative_to(root).with_suffix("").parts)
+            for folder in folders
+            for path in sorted((root / folder).rglob("*.py"), reverse=True)
+            if "\n@kernel(" in path.read_text()
+        ]
+        # A module that cannot be imported fails its own tests.
+        code = (
+            f"import contextlib, importlib\nfor name in {modules}:\n    with contextlib.suppress(Exception): "
+            "importlib.import_module(name)"
+        )
+        halves.append(subprocess.Popen([sys.executable, "-c", code], cwd=root))
+    try:
+        for half in halves:
+            half.wait(timeout=3000)
+    finally:
+        for half in halves:
+            half.kill()
 
 
 def copy_kernels(root: Path, copy: Path) -> None:

@@ -27,7 +27,7 @@ from ruamel.yaml import YAML
 from plume.walls.buildings import read
 from sitl.script.script import load
 from tests.clients.installed import free_udp_port, python_of
-from tests.kernels import compile_kernels, copy_kernels
+from tests.kernels import copy_kernels
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -326,7 +326,6 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         shutil.copy2(ROOT / name, copy / name)
     make_environment(copy)
     copy_kernels(ROOT, copy)
-    compile_kernels(copy)  # what no test has needed yet
     for page in PAGES:
         for block in filter(named, blocks(page)):
             (copy / folder(page)).mkdir(exist_ok=True)

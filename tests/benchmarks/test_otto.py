@@ -4,6 +4,7 @@ planners' rules, and a page that shows what was measured.
 
 import math
 from collections.abc import Iterator
+from functools import cache
 from itertools import product
 from pathlib import Path
 
@@ -125,6 +126,7 @@ def test_of_three_cells_in_a_row_the_second_end_costs_three_steps() -> None:
 def enumerated(case: Case, rule: str) -> float:
     """Expected steps by brute force: every source and every sequence of hits, with Bayes' rule written anew."""
 
+    @cache
     def likelihood(source: Cell, cell: Cell, hits: int) -> float:
         mean = float(
             case.gas.hits(np.array([cell[0] - source[0] + 0.0]), np.array([cell[1] - source[1] + 0.0]))[0]

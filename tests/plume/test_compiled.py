@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from plume.compiled import folder_of
+
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("plume", "estimator", "agent")
 HELPER = """
@@ -49,7 +51,7 @@ print(said(2.0), inverse(4.0), factorial(5), hits)
 
 def write(folder: Path, helper: str = HELPER, kernels: str = KERNELS) -> None:
     """Put the package `tiny` into a folder."""
-    (folder / "tiny").mkdir(exist_ok=True)
+    (folder / "tiny").mkdir(parents=True, exist_ok=True)
     for name, source in (("__init__", ""), ("helper", helper), ("loops", kernels)):
         (folder / "tiny" / f"{name}.py").write_text(source)
 
@@ -112,6 +114,17 @@ def test_a_change_of_what_a_kernel_uses_is_seen_and_undone(
     assert run(tmp_path) == (said, 0)
     write(tmp_path)
     assert run(tmp_path) == (USUAL, 3)
+
+
+def test_a_change_of_a_table_is_seen(tmp_path: Path) -> None:
+    folders = {}
+    for name, table in (("one", b"1"), ("same", b"1"), ("other", b"2")):
+        write(tmp_path / name)
+        (tmp_path / name / "tiny" / "table.npy").write_bytes(table)
+        folder = folder_of(tmp_path / name / "tiny")
+        assert folder
+        folders[name] = folder.name
+    assert folders["one"] == folders["same"] != folders["other"]
 
 
 def test_kernels_use_only_what_stands_in_their_folder_and_in_plume() -> None:

@@ -100,6 +100,15 @@ def test_the_compiled_density_is_the_integral_over_the_gas(cv: float) -> None:
     assert np.log(not_logs[probable]) == pytest.approx(found[probable], abs=1e-12)
 
 
+@pytest.mark.parametrize("step", [12, pytest.param(1, marks=pytest.mark.full)])
+def test_the_files_table_is_what_quadrature_gives_to_the_last_bit(step: int) -> None:
+    rows = range(0, intermittency.SQUARE_CELLS + 1, step)
+    computed = np.array([intermittency.correction_row(row) for row in rows])
+    assert np.array_equal(np.load(intermittency.CORRECTIONS_FILE)[::step], computed), (
+        "after a change of the law: numpy.save(CORRECTIONS_FILE, all rows of correction_row)"
+    )
+
+
 def test_without_noise_the_integral_is_scipys_inverse_gaussian_density() -> None:
     from scipy import stats
 
