@@ -152,7 +152,8 @@ def _planned(name: str) -> Policy:
     def waypoint(
         belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator
     ) -> Sequence[float]:
-        return tuple(reach.moves(belief.position)[plan(belief, particles, reach, rng)])
+        fitted = reach.fitted(belief)
+        return tuple(fitted.moves(belief.position)[plan(belief, particles, fitted, rng)])
 
     return waypoint
 

@@ -11,7 +11,7 @@ from link.bus.messages import Belief, Particles
 from plume.elementary import Array
 from plume.numerics import exp_each, log_each
 
-REACH = Reach(headings=8, measurements=100)
+REACH = Reach(headings=8, measurements=100, fits=True)
 PARTICLES = 500  # most particles used for planning
 AHEAD = 2.0  # steps to the hypothetical readings: one a step ahead hardly changes the belief
 WEIGHT = 4.0  # c: metres of flight that a metre of spread is expected to cost

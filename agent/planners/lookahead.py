@@ -8,7 +8,7 @@ from link.bus.messages import Belief, Particles
 from plume.elementary import Array
 from plume.numerics import exp_each
 
-REACH = Reach(headings=8, measurements=50)
+REACH = Reach(headings=8, measurements=50, fits=True)
 PARTICLES = 500  # most particles used for planning
 AHEAD = (2.0, 4.0)  # steps to the hypothetical readings; not every step: neighbours are nearly redundant
 WEIGHT = 4.0  # c: metres of flight that a metre of spread is expected to cost

@@ -8,22 +8,19 @@ from link.bus.messages import Belief, Particles
 from plume.elementary import Array
 from plume.numerics import exp_each, log_each
 
-# Side of the cells in which entropy is computed, m: Loisy and Eloy's world is a grid with a cell per step.
-CELL_M = 1.0
-
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the least expected log₂(D + (2^H − 1)/2) (Loisy and Eloy 2022, eq. 3.4).
 
     D is the expected Manhattan distance from the move to the source, in cells. H is the entropy of the
-    source's cell, in bits. Both are taken under the belief after a reading there; H is the present entropy
-    less the reading's information gain.
+    source's cell, in bits: Loisy and Eloy's world is a grid with a cell per step. Both are taken under the
+    belief after a reading there; H is the present entropy less the reading's information gain.
     """
-    moves = reach.moves(belief.position)
+    moves, cell_m = reach.moves(belief.position), reach.step
     hypotheses = cloud(belief, particles)
-    distances = np.abs(moves[:, :, None] - hypotheses.places).sum(axis=1) / CELL_M  # (A, N)
+    distances = np.abs(moves[:, :, None] - hypotheses.places).sum(axis=1) / cell_m  # (A, N)
     imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, distances[:, None])
-    shares = shares_of_cells(hypotheses, CELL_M)
+    shares = shares_of_cells(hypotheses, cell_m)
     entropy = -np.sum(shares * log_each(shares))
     entropies = np.maximum(entropy - imagined.gains, 0.0)  # (A, K), nats
     return int(np.argmin(cost(imagined.expectations[:, :, 0], entropies).mean(axis=1)))

@@ -1,13 +1,16 @@
 """The moves that a planner may choose from, and the meaning of a learned policy's actions."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import msgspec
 import numpy as np
 
+from link.bus.messages import Belief
 from plume.elementary import Array, direction
 from plume.scenario import AREA_M, STEP_M
+
+FINE = 1 / 30  # the step of Table 1, as a part of its area's side: short enough for any search
 
 
 @dataclass(frozen=True)
@@ -15,9 +18,20 @@ class Reach:
     """The moves that a planner may choose from, and its number of hypothetical readings."""
 
     headings: int = 4  # number of headings, evenly spaced; the first is east
-    step: float = STEP_M  # length of a move, m
+    step: float = STEP_M  # length of a move, m; `fitted` shortens it
     measurements: int = 25  # hypothetical readings for each move
     area_m: float = AREA_M  # side of the search area, m
+    fits: bool = False  # whether moves may be shorter than a step: `fitted`
+
+    def fitted(self, belief: Belief) -> "Reach":
+        """Return it with moves that are not long against the belief, if it `fits` its moves.
+
+        A move is at most a quarter of the spread: a longer one passes readings that would tell it where to
+        turn. Where the spread is small, it is at most a FINE part of the area's side instead, and 4 spreads,
+        or it hops to and fro across the source.
+        """
+        longest = max(belief.spread / 4, min(4 * belief.spread, self.area_m * FINE))
+        return replace(self, step=longest) if self.fits and longest < self.step else self
 
     @cached_property
     def edge(self) -> float:

@@ -466,7 +466,7 @@ def test_who_is_almost_certain_of_one_of_two_places_looks_at_the_nearer_one(name
 )
 def test_a_planner_has_its_own_reach_where_none_is_given(name: str, own: tuple[int, int]) -> None:
     assert (reach(name).headings, reach(name).measurements) == own
-    assert reach(name, {"headings": 4, "step": 0.5}) == Reach(4, 0.5, own[1])
+    assert reach(name, {"headings": 4, "step": 0.5}) == Reach(4, 0.5, own[1], fits=name != "infotaxis")
 
 
 def test_a_thinned_cloud_keeps_every_so_many_th_particle() -> None:
@@ -532,3 +532,30 @@ def test_a_planner_is_a_function_of_belief_and_key(name: str, headings: int) -> 
     }
     assert len(choices) == 1
     assert choices <= set(range(len(reach.moves((29.5, 13.0)))))
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_decisions_do_not_depend_on_the_unit_of_length(name: str) -> None:
+    """An area, a step, a belief and a wind that are eight times as long, of a plume of the same shape: exp(−r/λ + ψ)/r
+    is the same with u and λ eight times, d 64 times and q 512 times as great.
+    """
+    for seed in range(8):
+        particles, small = particles_of(300, seed), belief_at(HERE)
+        large = msgspec.structs.replace(
+            small,
+            position=tuple(8 * at for at in small.position),
+            mean=tuple(8 * at for at in small.mean),
+            wind=tuple(8 * speed for speed in small.wind),
+            covariance=tuple(64 * of for of in small.covariance),
+            rate=512 * small.rate,
+            diffusivity=64 * small.diffusivity,
+            spread=8 * small.spread,
+        )
+        scaled = (particles * np.array([8, 8, 1])).astype(np.float32)
+        near = reach(name, {"step": 2.0})
+        far = reach(name, {"step": 16.0, "area_m": 8 * near.area_m})
+        chosen = [
+            planner(name)(belief, cloud, it.fitted(belief), np.random.default_rng(seed))
+            for belief, cloud, it in ((small, particles, near), (large, scaled, far))
+        ]
+        assert chosen[0] == chosen[1]

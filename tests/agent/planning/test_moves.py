@@ -3,13 +3,15 @@ and inside the area.
 """
 
 import math
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
 
-from agent.planning.moves import HeadingAndStep, Headings, Move
+from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
 from plume.scenario import AREA_M
+from tests.agent.planners.test_planners import belief_at
 
 EAST, NORTH, SLANTED = (1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (0.6, 0.8, 1.0)
 EAST_MIRRORED, NORTH_MIRRORED, SLANTED_MIRRORED = (1.0, 0.0, -1.0), (0.0, 1.0, -1.0), (0.6, 0.8, -1.0)
@@ -135,3 +137,27 @@ def test_a_network_says_how_good_each_heading_is_or_the_action_itself() -> None:
 )
 def test_what_actions_mean_is_told_in_json(move: Move) -> None:
     assert msgspec.json.decode(msgspec.json.encode(move), type=Move) == move
+
+
+@pytest.mark.parametrize(
+    ("area_m", "step_m", "spread_m", "flown_m"),
+    [
+        (30, 10, 8, 2.0),  # a quarter of the spread
+        (30, 10, 1, 1.0),  # a thirtieth of the side
+        (30, 10, 0.2, 0.8),  # four spreads
+        (30, 10, 60, 10.0),  # a step
+        (30, 1, 8, 1.0),
+        (30, 1, 0.25, 1.0),
+        (300, 10, 80, 10.0),
+        (300, 10, 0.9, 3.6),
+    ],
+)
+def test_moves_are_short_where_the_belief_is_narrow(
+    area_m: float, step_m: float, spread_m: float, flown_m: float
+) -> None:
+    belief = msgspec.structs.replace(belief_at((5.0, 6.0)), spread=spread_m)
+    reach = Reach(headings=8, step=step_m, area_m=area_m)
+    assert reach.fitted(belief).step == step_m
+    assert replace(reach, fits=True).fitted(belief) == replace(
+        reach, fits=True, step=pytest.approx(flown_m, rel=1e-12)
+    )
