@@ -22,7 +22,7 @@ from sitl.autopilot.config import VehicleConfig
 from tests.autopilots.settings import Settings
 from tests.autopilots.wire import Double
 
-SPEEDUP = 5.0
+SPEEDUP = 2.0
 STRETCHED = (("COM_OF_LOSS_T", 1.0 * SPEEDUP),)
 """PX4's own simulation stretches this time, too."""
 
