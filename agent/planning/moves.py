@@ -10,7 +10,8 @@ from link.bus.messages import Belief
 from plume.elementary import Array, direction
 from plume.scenario import AREA_M, STEP_M
 
-FINE = 1 / 30  # the step of Table 1, as a part of its area's side: short enough for any search
+# The step of Table 1 as a part of its area's side, short enough for any search, and the shortest move.
+FINE, FINEST = 1 / 30, 1 / 300
 
 
 @dataclass(frozen=True)
@@ -28,10 +29,13 @@ class Reach:
 
         A move is at most a quarter of the spread: a longer one passes readings that would tell it where to
         turn. Where the spread is small, it is at most a FINE part of the area's side instead, and 4 spreads,
-        or it hops to and fro across the source.
+        or it hops to and fro across the source. It is never below the FINEST part, or it would stay where it
+        is. If the place is known, moves are as long as they were.
         """
-        longest = max(belief.spread / 4, min(4 * belief.spread, self.area_m * FINE))
-        return replace(self, step=longest) if self.fits and longest < self.step else self
+        shortest, fine = self.area_m * FINEST, self.area_m * FINE
+        longest = max(belief.spread / 4, min(max(4 * belief.spread, shortest), fine))
+        is_long = self.fits and belief.spread > 0 and longest < self.step
+        return replace(self, step=longest) if is_long else self
 
     @cached_property
     def edge(self) -> float:

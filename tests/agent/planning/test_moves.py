@@ -148,6 +148,8 @@ def test_what_actions_mean_is_told_in_json(move: Move) -> None:
         (30, 10, 60, 10.0),  # a step
         (30, 1, 8, 1.0),
         (30, 1, 0.25, 1.0),
+        (30, 1, 1e-9, 0.1),  # a three-hundredth of the side
+        (30, 1, 0.0, 1.0),  # the place is known
         (300, 10, 80, 10.0),
         (300, 10, 0.9, 3.6),
     ],
