@@ -116,6 +116,16 @@ def test_a_change_of_what_a_kernel_uses_is_seen_and_undone(
     assert run(tmp_path) == (USUAL, 3)
 
 
+@pytest.mark.slow
+def test_a_kept_kernel_is_loaded_without_what_only_compiling_needs(tmp_path: Path) -> None:
+    write(tmp_path)
+    tell = "import atexit, sys; atexit.register(lambda: print('numba.np.linalg' in sys.modules))\n"
+    assert [start(tmp_path, tell).communicate(timeout=300)[0].split()[-2:] for _ in range(2)] == [
+        ["0", "True"],
+        ["3", "False"],
+    ]
+
+
 def test_a_change_of_a_table_is_seen(tmp_path: Path) -> None:
     folders = {}
     for name, table in (("one", b"1"), ("same", b"1"), ("other", b"2")):
