@@ -4,4 +4,4 @@ Imports: nothing of ours.
 
 __version__ = "0.1.0"
 # What a process says on stderr before it compiles its first kernel.
-COMPILING = "compiling kernels, once, about 15 s"
+COMPILING = "compiling kernels, once, 15 to 60 s"
