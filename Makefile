@@ -46,6 +46,7 @@ $(READY): $(FLIGHT)
 	@$(INSTALL) -e '.[test]'
 	@$(INSTALL) --no-deps particles
 	@rm $(UNFINISHED) && touch $@
+	@$(BIN)/pytest --collect-only -qq > /dev/null || true # Python compiles once what else each of four processes would
 
 # After a change of pyproject.toml or constraints.txt: what a flight needs, with the hashes of every file that the index has of it.
 # Of the Pythons we support the oldest is asked: it needs all that the newer ones need.
@@ -66,14 +67,14 @@ mission: $(FLIGHT)
 	$(BIN)/plumeward fly $(FLAGS)
 
 quick: lint
-	$(BIN)/pytest -n 2 --dist worksteal -m 'not full and not slow' $(UNIT) $(FLAGS)
+	$(BIN)/pytest -n 2 -m 'not full and not slow' $(UNIT) $(FLAGS)
 
-# Four processes on a small machine's two cores: missions spend about half of their time waiting.
+# Four processes on a small machine's two cores: missions spend about half of their time waiting. tests/workers.py says which runs what.
 test: $(READY) chromium
-	$(BIN)/pytest -n 4 --dist worksteal -m 'not full' $(FLAGS)
+	$(BIN)/pytest -n 4 -m 'not full' $(FLAGS)
 
 test-all: setup
-	$(BIN)/pytest -n 4 --dist worksteal -m full $(FLAGS)
+	$(BIN)/pytest -n 4 -m full $(FLAGS)
 
 # Takes hours; `make fuzz FLAGS='belief --runs 1000'` fuzzes one decoder for less. It needs Linux on x86-64.
 fuzz: setup

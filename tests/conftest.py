@@ -12,6 +12,7 @@ from hypothesis import settings
 
 from link.bus.opening import open_router
 from tests.kernels import compile_kernels
+from tests.workers import Units, rank
 
 # The same examples on every run, and no time limit per example: the machine may be busy.
 settings.register_profile("plumeward", derandomize=True, deadline=None)
@@ -32,6 +33,23 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     if hasattr(session.config, "workerinput") or session.config.option.collectonly:
         return
     compile_kernels(ROOT)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Spare `make test-all` the files that it runs no test of: each process would import them."""
+    if config.option.markexpr == "full" and collection_path.name.startswith("test_"):
+        return "mark.full" not in collection_path.read_text() or None
+    return None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: rank(item.nodeid))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> Units:
+    config.option.loadscopereorder = False  # by the number of tests, which says nothing of their length
+    return Units(config, log)
 
 
 @pytest.fixture

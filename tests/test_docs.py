@@ -317,7 +317,7 @@ def make_environment(copy: Path) -> None:
         (copy / ".venv" / layer).touch()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A copy of the checkout to run in, as a user has it; it is removed afterwards."""
     copy = tmp_path_factory.mktemp("checkout")
@@ -456,8 +456,11 @@ def put_in_place(command: str, copy: Path, said: Path) -> None:
 
 
 def first_or_last(session: Session) -> Any:
-    """A session, marked for `make test-all` unless it is relied on."""
-    sooner = str(session) in RELIED_ON or session.commands[0].text.endswith(" --help")
+    """A session, marked for `make test-all` unless it is relied on: of several that begin alike the first."""
+    relied_on = str(session) in RELIED_ON and session is next(
+        each for each in SESSIONS if str(each) == str(session)
+    )
+    sooner = relied_on or session.commands[0].text.endswith(" --help")
     return pytest.param(session, id=str(session), marks=() if sooner else pytest.mark.full)
 
 

@@ -1,0 +1,49 @@
+"""Hands tests to the processes of pytest-xdist: the longest first, and what shares a costly fixture to one process."""
+
+from functools import cache
+from pathlib import Path
+
+from xdist.scheduler import LoadScopeScheduling
+
+ROOT = Path(__file__).parents[1]
+LONGEST = (
+    "tests/system/test_install.py",
+    "tests/system/test_same_bits.py",
+    "tests/system/test_containers.py",
+)
+"""They begin before all others: the last test of a run costs its whole length."""
+LONG = (
+    "tests/system/",
+    "tests/test_docs.py",
+    "tests/view/",
+    "tests/clients/",
+    "tests/benchmarks/",
+    "tests/fuzz/",
+)
+"""They begin next. The rest takes a second a test at most."""
+
+
+def rank(node: str) -> int:
+    """The place of a test: those of a lower one begin sooner."""
+    return next(
+        (place for place, path in enumerate(LONGEST + LONG) if node.startswith(path)), len(LONGEST + LONG)
+    )
+
+
+@cache
+def shares(file: str) -> bool:
+    """Whether the tests of a file share what was made once for all of them: an environment, a mission, a browser."""
+    return 'scope="module"' in (ROOT / file).read_text()
+
+
+def unit(node: str) -> str:
+    """What one process runs without a break: a long test, or a file of short ones or of those that share."""
+    file = node.partition("::")[0]
+    return node if file.startswith(LONGEST + LONG) and not shares(file) else file
+
+
+class Units(LoadScopeScheduling):
+    """Gives each process the next unit, in the order of the collection."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return unit(nodeid)
