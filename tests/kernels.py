@@ -38,9 +38,11 @@ def compile_kernels(root: Path) -> None:
             half.kill()
 
 
-def copy_kernels(root: Path, copy: Path) -> None:
-    """Fill the cache of a copy of a checkout. Numba keeps kernels by the path of their sources."""
-    for kept in [path for folder in FOLDERS for path in (root / folder).rglob("__pycache__/kernels-*/*")]:
+def copy_kernels(root: Path, copy: Path, folders: tuple[str, ...] = FOLDERS) -> None:
+    """Fill the cache of a copy of a checkout. Numba keeps kernels by the path of their sources, and uses
+    those whose source is as old as it was.
+    """
+    for kept in [path for folder in folders for path in (root / folder).rglob("__pycache__/kernels-*/*")]:
         sources = copy / kept.parents[2].relative_to(root)
         place = UserProvidedCacheLocator.get_suitable_cache_subpath(str(sources / "any.py"))
         shutil.copytree(kept, sources / "__pycache__" / kept.parent.name / place)

@@ -23,6 +23,7 @@ from agent.policies import SHIPPED
 from agent.trials.rollout import rollout
 from plume import __version__
 from plume.outcome import outcome_json
+from tests.kernels import copy_kernels
 
 pytestmark = pytest.mark.timeout(2000)  # environments are created and filled, and kernels compiled in them
 
@@ -195,6 +196,16 @@ class Installed:
         self.pip = self(folder, *pip, "--require-hashes", "-r", str(HASHED))
         if self.pip.returncode == 0:
             self.pip = self(folder, *pip, "--no-deps", str(wheel))
+        self.give_kernels("estimator", "agent")
+
+    def give_kernels(self, *packages: str) -> None:
+        """Spare the environment to compile these packages again; what else a flight needs it compiles itself."""
+        for place in self.folder.glob("lib/python*/site-packages"):
+            for source in [path for package in packages for path in files(ROOT / package)]:
+                installed = place / source.relative_to(ROOT)
+                if installed.exists():
+                    shutil.copystat(source, installed)
+            copy_kernels(ROOT, place, packages)
 
     def __call__(self, cwd: Path, command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
         """Run a command of the installation in a folder."""

@@ -5,11 +5,12 @@ The environments pretend to be other processors; tests/system/arm64.sh is one. E
 one of them.
 """
 
+import fcntl
 import json
 import os
 import subprocess
 import sys
-from functools import cache
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -83,10 +84,25 @@ def mission(env: dict[str, str], command: str, policy: str) -> dict[str, Any]:
     return {name: value for name, value in outcome.items() if name not in ("search_time_s", "record")}
 
 
-@cache
-def here() -> list[str]:
-    """The digests of all checks in the environment of the test."""
-    return said(dict(os.environ), "tests.system.bits")
+@pytest.fixture(scope="session")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], list[str]]:
+    """Return a function that gives the digests of all checks in the environment of the test: it computes
+    them, unless another process of this run has.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    kept = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "bits.txt"
+
+    def digests() -> list[str]:
+        with kept.open("a+") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            file.seek(0)
+            lines = file.read().splitlines()
+            if not lines:
+                lines = said(dict(os.environ), "tests.system.bits")
+                file.write("\n".join(lines))
+        return lines
+
+    return digests
 
 
 @pytest.mark.parametrize(
@@ -94,10 +110,13 @@ def here() -> list[str]:
     [pytest.param(*row, marks=pytest.mark.full if row[2] != "native" else ()) for row in ROWS],
 )
 @pytest.mark.timeout(900)  # the kernels are compiled once for each processor
-def test_every_bit_is_the_same_on_another_processor(blas: str, numpy: str, numba: str) -> None:
-    assert len(here()) > 100
-    assert [line for line in here() if "DIFFERS" in line] == []
-    assert said(environment(blas, numpy, numba), "tests.system.bits") == here()
+def test_every_bit_is_the_same_on_another_processor(
+    here: Callable[[], list[str]], blas: str, numpy: str, numba: str
+) -> None:
+    there = said(environment(blas, numpy, numba), "tests.system.bits")
+    assert len(there) > 100
+    assert [line for line in there if "DIFFERS" in line] == []
+    assert there == here()
 
 
 @pytest.mark.full
