@@ -90,7 +90,7 @@ def _compiled(function: F, signature: Any, options: dict[str, Any], folder: Path
         try:
             dispatcher: Any = njit(**options)(function)
             if folder is not None:
-                dispatcher._cache = KernelCache(function)
+                dispatcher._cache = KernelCache(function)  # type: ignore[no-untyped-call]
             with register_dispatcher(dispatcher):  # it may call itself
                 dispatcher.compile(signature)
             dispatcher.disable_compile()
