@@ -31,7 +31,7 @@ import numpy as np
 from numba import njit
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import FunctionCache
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 from numba.core.typeinfer import register_dispatcher
 
 from plume import COMPILING
@@ -47,13 +47,13 @@ CONFIG: Any = numba.config
 SETTING = RLock()
 
 
-class KernelCache(FunctionCache):  # type: ignore[misc]
+class KernelCache(FunctionCache):
     """Numba's cache, loading without what only compiling needs."""
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the kept result for a signature, or None: then numba loads the rest itself, and compiles."""
         rtsys.initialize(target)  # kernels allocate arrays
-        return self._load_overload(signature, target)
+        return self._load_overload(signature, target)  # type: ignore[no-untyped-call]
 
 
 def subroutine(function: F, **options: Any) -> F:
