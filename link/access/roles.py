@@ -5,10 +5,11 @@ from typing import Any
 
 ROUTER = "router"
 VEHICLE, ESTIMATOR, AGENT, PAYLOAD, BRIDGE = "vehicle", "estimator", "agent", "payload", "bridge"
+ROS2 = "ros2"
 OPERATOR, OBSERVER = "operator", "observer"
 # Roles of one vehicle: each vehicle has a certificate for each of them. The others are one for all
 # vehicles.
-OF_A_VEHICLE = (VEHICLE, ESTIMATOR, AGENT, PAYLOAD, BRIDGE)
+OF_A_VEHICLE = (VEHICLE, ESTIMATOR, AGENT, PAYLOAD, BRIDGE, ROS2)
 # Roles that may read every key of every vehicle. Only operators command.
 OF_ALL_VEHICLES = (OPERATOR, OBSERVER)
 EVERYBODY = (*OF_A_VEHICLE, *OF_ALL_VEHICLES)
@@ -19,6 +20,7 @@ SERVICES = {
     AGENT: ("agent",),
     PAYLOAD: ("payload",),
     BRIDGE: ("bridge",),
+    ROS2: ("ros2",),
     OPERATOR: ("view", "mission"),
     OBSERVER: ("recorder", "status"),
 }
