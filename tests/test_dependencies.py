@@ -28,6 +28,7 @@ EXTRAS = {
     "view": ("scene/drawing.py", "scene/footage.py", "scene/animation.py", "agent/trials/report/"),
     "ray": ("agent/trials/cluster.py",),
     "plumes": ("plume/recorded/",),
+    "ros2": ("ground/ros2/",),
 }
 """Extras of users, and the code that may import what they bring."""
 NOT_IMPORTED = {

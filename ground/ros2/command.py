@@ -4,9 +4,9 @@ import argparse
 import os
 
 from link import cli
+from link.access.roles import MOST_DOMAIN
 
 DISTRIBUTIONS = ("humble", "jazzy", "kilted", "lyrical")
-MOST_DOMAIN = 232
 DOMAIN = "ROS_DOMAIN_ID"  # the environment variable that ROS reads
 
 

@@ -11,9 +11,10 @@ import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.operator import AUTOPILOT, SEARCH, CommandName, CommandRun, order
-from ground.ros2.rmw import ATTACHMENT_BYTES, is_attachment, ros_namespace
+from ground.ros2.rmw import ATTACHMENT_BYTES, is_attachment
 from ground.ros2.topics import ABORT, GOAL, Topic
 from ground.ros2.wire import BadMessage, Wire
+from link.access.roles import ros_namespace
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
 from link.bus.mavlink import BadFrame, Codec, Message, Texts
 from link.bus.messages import Health

@@ -4,7 +4,6 @@ Source: `docs/design.md` of https://github.com/ros2/rmw_zenoh, and of `rmw_zenoh
 `liveliness_utils.cpp`, `attachment_helpers.cpp`, `rmw_publisher_data.cpp` and `rmw_subscription_data.cpp`.
 """
 
-import re
 import struct
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -13,7 +12,8 @@ import xxhash
 import zenoh
 import zenoh.ext
 
-SPACE = "@ros2_lv"  # all tokens begin with it
+from link.access.roles import ROS_TOKENS
+
 USUAL_DEPTH = 42  # the depth that tokens leave out
 GID_BYTES = 16
 HEAD = struct.Struct("<qqB")  # of an attachment: sequence number, time of publishing in ns, length of the gid
@@ -53,16 +53,6 @@ class Node(NamedTuple):
         return topic if topic.startswith("/") else f"{self.namespace}/{topic}"
 
 
-def ros_namespace(namespace: str) -> str:
-    """Return the ROS namespace of a vehicle's: `/uav_1` of `uav/1`.
-
-    A part of a ROS name may not begin with a digit, so the parts become one. What is neither letter nor
-    digit becomes an underscore, of which ROS allows no two in a row and none at the end.
-    """
-    name = re.sub(r"[^A-Za-z0-9]+", "_", namespace).strip("_")
-    return f"/{name}" if name[:1].isalpha() else f"/vehicle_{name}".rstrip("_")
-
-
 def dds_name(kind: str) -> str:
     """Return the name in keys of a type: `std_msgs::msg::dds_::String_` of `std_msgs/msg/String`."""
     package, folder, name = kind.split("/")
@@ -76,20 +66,20 @@ def topic_key(domain: int, topic: str, kind: str, type_hash: str) -> str:
 
 def node_token(node: Node, zid: str) -> str:
     """Return the key of the token that shows a node. zid: the session's id."""
-    return f"{SPACE}/{node.domain}/{zid}/0/0/NN/%/{_mangled(node.namespace)}/{node.name}"
+    return f"{ROS_TOKENS}/{node.domain}/{zid}/0/0/NN/%/{_mangled(node.namespace)}/{node.name}"
 
 
 def topic_token(
     node: Node, zid: str, number: int, entity: str, topic: str, kind: str, type_hash: str, qos: Qos
 ) -> str:
     """Return the key of the token of a publisher or a subscription. number: its own in the session."""
-    who = f"{SPACE}/{node.domain}/{zid}/0/{number}/{entity}/%/{_mangled(node.namespace)}/{node.name}"
+    who = f"{ROS_TOKENS}/{node.domain}/{zid}/0/{number}/{entity}/%/{_mangled(node.namespace)}/{node.name}"
     return f"{who}/{_mangled(node.absolute(topic))}/{dds_name(kind)}/{type_hash}/{qos.encoded()}"
 
 
 def publishers_of(domain: int, topic: str) -> str:
     """Return the key expression of the tokens of all publishers of a topic, by its absolute name."""
-    return f"{SPACE}/{domain}/*/*/*/{PUBLISHER}/*/*/*/{_mangled(topic)}/**"
+    return f"{ROS_TOKENS}/{domain}/*/*/*/{PUBLISHER}/*/*/*/{_mangled(topic)}/**"
 
 
 def session_of(token: str) -> str:

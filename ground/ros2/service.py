@@ -7,10 +7,11 @@ from pathlib import Path
 from ground.ros2.messages import Messages
 from ground.ros2.node import RosNode
 from ground.ros2.orders import Orders
-from ground.ros2.rmw import Node, ros_namespace
+from ground.ros2.rmw import Node
 from ground.ros2.topics import CLOCK, COMMANDS, OF_A_MISSION, PUBLISHED, Topic
 from ground.ros2.translation import Translation
 from ground.ros2.wire import Wire
+from link.access.roles import ros_namespace
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_OUT, READING, STOP
 from link.record.tap import Tap
