@@ -1,8 +1,7 @@
 """A ROS 2 node of others, PyZeROS, in an environment of its own: hears a vehicle's topics, and commands it.
 
-Its session is configured as rmw_zenoh configures those of ROS: a peer of the router, with gossip. PyZeROS
-knows no latched topics: those are heard by Zenoh's advanced subscriber, with rmw_zenoh's options, on
-PyZeROS's keys, and decoded by it.
+Its session is a client of the router. PyZeROS knows no latched topics: those are heard by Zenoh's advanced
+subscriber, with rmw_zenoh's options, on PyZeROS's keys, and decoded by it.
 
 Usage: ros2_peer.py ENDPOINT DOMAIN NAMESPACE. Each line on stdin is an order, `goal_pose 3 4 0`, `pause
 true`, `abort`, `raw TOPIC HEX`, or `end`. It says `ready` on stdout, then at the end all that it has
@@ -12,6 +11,7 @@ heard, as JSON.
 import asyncio
 import json
 import sys
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,13 @@ from ros2_pyterfaces.cydr.rosgraph_msgs.msg import Clock
 from ros2_pyterfaces.cydr.sensor_msgs.msg import Illuminance, NavSatFix, PointCloud2
 from ros2_pyterfaces.cydr.std_msgs.msg import Bool, Empty, String
 
-VOLATILE = {"fix": NavSatFix, "pose": PoseStamped, "gas": Illuminance, "wind": Vector3Stamped, "/clock": Clock}
+VOLATILE = {
+    "fix": NavSatFix,
+    "pose": PoseStamped,
+    "gas": Illuminance,
+    "wind": Vector3Stamped,
+    "/clock": Clock,
+}
 LATCHED = {
     "estimate": PoseWithCovarianceStamped,
     "estimate_fix": NavSatFix,
@@ -35,7 +41,7 @@ LATCHED = {
     "stop": PoseWithCovarianceStamped,
     "state": String,
 }
-MOST = 20_000
+LARGE, MOST = ("belief", "track"), 20_000  # of what is large the newest is kept
 
 
 def plain(value: Any) -> Any:
@@ -56,7 +62,7 @@ class Peer:
 
     def __init__(self, session: zenoh.Session, namespace: str) -> None:
         self._session, self._namespace = session, namespace
-        self.heard: dict[str, list[Any]] = {}
+        self.heard: dict[str, deque[Any]] = {}
         self.attached: dict[str, list[list[Any]]] = {}
         self._subs = [self._hear(topic, kind) for topic, kind in VOLATILE.items()]
         self._subs += [self._hear_latched(topic, kind) for topic, kind in LATCHED.items()]
@@ -69,13 +75,11 @@ class Peer:
         return topic if topic.startswith("/") else f"{self._namespace}/{topic}"
 
     def _keep(self, topic: str, kind: Any, sample: zenoh.Sample) -> None:
-        heard = self.heard.setdefault(topic, [])
-        if len(heard) < MOST:
-            heard.append(plain(kind.deserialize(sample.payload.to_bytes())))
-            said = Attachment.deserialize(b"\0\1\0\0" + sample.attachment.to_bytes())
-            self.attached.setdefault(topic, []).append(
-                [int(said.sequence_number), int(said.source_timestamp), bytes(said.source_gid).hex()]
-            )
+        said = Attachment.deserialize(b"\0\1\0\0" + sample.attachment.to_bytes())
+        attached = [int(said.sequence_number), int(said.source_timestamp), bytes(said.source_gid).hex()]
+        most = 1 if topic in LARGE else MOST
+        self.heard.setdefault(topic, deque(maxlen=most)).append(kind.deserialize(sample.payload.to_bytes()))
+        self.attached.setdefault(topic, []).append(attached)
 
     def _hear(self, topic: str, kind: Any) -> Any:
         return RawSub(kind, self._name(topic), lambda sample: self._keep(topic, kind, sample))
@@ -108,18 +112,16 @@ class Peer:
     def tokens(self, domain: str) -> list[str]:
         """The tokens of the graph, as every node of ROS asks for them."""
         replies = self._session.liveliness().get(f"@ros2_lv/{domain}/**", timeout=10)
-        return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok)
+        return sorted({str(reply.ok.key_expr) for reply in replies if reply.ok})
 
 
 async def main(endpoint: str, domain: str, namespace: str) -> None:
     """Hear and command until told to end."""
     config = zenoh.Config()
     settings = {
-        "mode": "peer",
+        "mode": "client",
         "connect/endpoints": [endpoint],
-        "listen/endpoints": ["tcp/127.0.0.1:0"],
         "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": True,
     }
     for name, value in settings.items():
         config.insert_json5(name, json.dumps(value))
@@ -131,7 +133,8 @@ async def main(endpoint: str, domain: str, namespace: str) -> None:
         while (words := (await loop.run_in_executor(None, sys.stdin.readline)).split()) and words != ["end"]:
             peer.order(words)
         tokens = await loop.run_in_executor(None, peer.tokens, domain)
-        print(json.dumps({"heard": peer.heard, "attached": peer.attached, "tokens": tokens}))
+        heard = {topic: [plain(one) for one in said] for topic, said in peer.heard.items()}
+        print(json.dumps({"heard": heard, "attached": peer.attached, "tokens": tokens}))
     session.close()
 
 
