@@ -52,6 +52,8 @@ NOT_IMPORTED = {
 NOT_DECLARED = {
     "particles": "make installs it without its dependencies",
     "plumeward": "an example imports it",
+    "pyzeros": "a peer of the tests, in an environment of its own, imports it",
+    "ros2_pyterfaces": "the same",
 }
 """Modules that development imports."""
 BUILD = {"hatchling", "editables"}

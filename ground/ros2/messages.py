@@ -30,7 +30,7 @@ Turn = tuple[float, float, float, float]  # a quaternion (x, y, z, w)
 LEVEL: Turn = (0.0, 0.0, 0.0, 1.0)
 
 
-class Source(NamedTuple):
+class SourceClaim(NamedTuple):
     """Where the source is taken to be, from home, and how sure that is."""
 
     place: Place  # m
@@ -38,17 +38,17 @@ class Source(NamedTuple):
     height_variance: float  # m²; 0 if the height is taken to be known
 
 
-def believed(said: Belief) -> Source:
+def believed(said: Belief) -> SourceClaim:
     """Return where a belief has the source."""
     unknown = "z" in said.unknowns
     variance = said.stds[said.unknowns.index("z")] ** 2 if unknown else 0.0
-    return Source((*said.mean, said.z), said.covariance, variance)
+    return SourceClaim((*said.mean, said.z), said.covariance, variance)
 
 
-def claimed(said: Stop, last: Source | None) -> Source:
+def claimed(said: Stop, last: SourceClaim | None) -> SourceClaim:
     """Return where a stop has the source; its height is that of the last belief."""
     height, variance = (last.place[2], last.height_variance) if last else (0.0, 0.0)
-    return Source((*said.estimate, height), said.covariance, variance)
+    return SourceClaim((*said.estimate, height), said.covariance, variance)
 
 
 def about_up(angle: float) -> Turn:
@@ -126,7 +126,7 @@ class Messages:
 
     # ---- the source ----
 
-    def source(self, source: Source, stamp_ns: int) -> bytes:
+    def source(self, source: SourceClaim, stamp_ns: int) -> bytes:
         """Return the position of the source. Its orientation is the map's: its covariance is left at 0."""
         (xx, xy, yy), covariance = source.covariance, np.zeros(36)
         covariance[[0, 1, 6, 7, 14]] = xx, xy, xy, yy, source.height_variance
@@ -135,7 +135,7 @@ class Messages:
         )
         return self._encode(ESTIMATE.kind, self._make(ESTIMATE.kind, self._header(stamp_ns, self.map), posed))
 
-    def source_fix(self, source: Source, home: Fix, stamp_ns: int) -> bytes:
+    def source_fix(self, source: SourceClaim, home: Fix, stamp_ns: int) -> bytes:
         """Return the position of the source on the earth."""
         (east, north, up), (xx, xy, yy) = source.place, source.covariance
         fix = *to_global(home[0], home[1], north, east), home[2] + up

@@ -83,7 +83,7 @@ class Lead:
         return ""
 
 
-class Orders:
+class RosOrders:
     """Passes commands of ROS on, one at a time: the newest counts. Use it in one thread."""
 
     def __init__(self, bus: Bus, wire: Wire) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ground.ros2.messages import Messages
 from ground.ros2.node import RosNode
-from ground.ros2.orders import Orders
+from ground.ros2.orders import RosOrders
 from ground.ros2.rmw import Node
 from ground.ros2.topics import CLOCK, COMMANDS, OF_A_MISSION, PUBLISHED, Topic
 from ground.ros2.translation import Translation
@@ -52,7 +52,7 @@ class Ros:
         )
         self._ros.watch_publishers(CLOCK)
         self._translation = Translation(vehicle, Messages(wire, self.node.namespace.removeprefix("/")))
-        self._orders = Orders(bus, wire) if commands else None
+        self._orders = RosOrders(bus, wire) if commands else None
         self._missions = self._translation.missions
         self._connected = True
         self._ended = threading.Event()
@@ -89,7 +89,7 @@ class Ros:
         self._ros.say(topic, message)
         self._bus.tally.did(-1)
 
-    def _ask(self, orders: Orders) -> None:
+    def _ask(self, orders: RosOrders) -> None:
         self._inbox.tell_dropped(self._bus.log)
         for _ in range(self._inbox.waiting()):
             asked: Asked = self._inbox.get(0.0)

@@ -8,7 +8,7 @@ from contextlib import suppress
 import msgspec
 
 from ground.ros2 import topics
-from ground.ros2.messages import Messages, Place, Source, believed, claimed
+from ground.ros2.messages import Messages, Place, SourceClaim, believed, claimed
 from ground.ros2.topics import POSES_PER_S, Topic
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP
 from link.bus.mavlink import Reading, unpack_reading
@@ -58,7 +58,7 @@ class Translation:
         self.missions = self.history.missions  # so far
         self._stamps: dict[int, int] = {}  # of readings, by time_boot_ms
         self._track: deque[tuple[Place, int]] = deque(maxlen=LONGEST_TRACK)
-        self._source: Source | None = None
+        self._source: SourceClaim | None = None
         self._step = self._slot = self._clock_slot = self._track_ns = -1
         self._has_stopped = False
 

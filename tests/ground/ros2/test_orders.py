@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from ground.ros2 import rmw
-from ground.ros2.orders import MALFORMED, MOST, REFUSED, ROS_IDS, Orders
+from ground.ros2.orders import MALFORMED, MOST, REFUSED, ROS_IDS, RosOrders
 from ground.ros2.topics import ABORT, GOAL, PAUSE
 from ground.ros2.wire import Wire
 from link.bus.keys import HEALTH, MAVLINK_IN, MAVLINK_OUT, Key
@@ -43,7 +43,7 @@ class Vehicle:
     def __init__(self) -> None:
         self.tally, self.log, self.sent = Tally(), Log(), []
         self.wire = Wire("jazzy")
-        self.orders = Orders(self, self.wire)  # type: ignore[arg-type]
+        self.orders = RosOrders(self, self.wire)  # type: ignore[arg-type]
         self.history = begun({}, "uav/1")
         self.now_s = 0.0
         position = mavlink.MAVLink_local_position_ned_message(0, 2.0, 1.0, -5.0, 0, 0, 0)
