@@ -24,7 +24,7 @@ GROUPS = {
     "Look at missions": ("view", "status", "log", "draw", "replay", "record"),
     "Look at worlds": ("worlds",),
     "Compare and train policies": ("evaluate", "train", "report"),
-    "Run one part alone": ("router", "uav", "payload", "bridge", "estimator", "agent"),
+    "Run one part alone": ("router", "uav", "payload", "bridge", "ros2", "estimator", "agent"),
     "Keep strangers out": ("certs",),
 }
 KNOWN = {

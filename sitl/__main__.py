@@ -23,6 +23,7 @@ COMMANDS = {
     "router": Command("sitl.launch.router", "the Zenoh router"),
     "uav": Command("sitl.uav.command", "the simulated vehicle"),
     "payload": Command("sitl.uav.payload", "the gas sensor of a real autopilot"),
+    "ros2": Command("ground.ros2.command", "ROS 2 topics by rmw_zenoh's rules, without ROS"),
     "bridge": Command("aircraft.bridge.command", "ground stations and autopilots over UDP, TCP, serial"),
 }
 SCRIPTS = (".yaml", ".yml")

@@ -28,6 +28,7 @@ EXTRAS = {
     "view": ("scene/drawing.py", "scene/footage.py", "scene/animation.py", "agent/trials/report/"),
     "ray": ("agent/trials/cluster.py",),
     "plumes": ("plume/recorded/",),
+    "ros2": ("ground/ros2/",),
 }
 """Extras of users, and the code that may import what they bring."""
 NOT_IMPORTED = {
@@ -51,6 +52,8 @@ NOT_IMPORTED = {
 NOT_DECLARED = {
     "particles": "make installs it without its dependencies",
     "plumeward": "an example imports it",
+    "pyzeros": "a peer of the tests, in an environment of its own, imports it",
+    "ros2_pyterfaces": "the same",
 }
 """Modules that development imports."""
 BUILD = {"hatchling", "editables"}

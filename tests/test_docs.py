@@ -126,6 +126,7 @@ STAYS = {
     "plumeward uav --out udpin:127.0.0.1:14550": "MAVLink to ",
     "plumeward uav --out udpin:127.0.0.1:14550 --sign fleet.key": "MAVLink to ",
     "plumeward bridge udpin:127.0.0.1:14550 tcp:127.0.0.1:5760 --connect tcp/127.0.0.1:7447": "it is tried again",
+    "plumeward ros2 --connect tcp/127.0.0.1:7447": "is /uav_1 in ROS domain",
     "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447": "ready: serial:",
     "plumeward payload --payload iio:gas --connect tcp/127.0.0.1:7447": "ready: iio:gas",
     "plumeward fly --vehicle tcp:127.0.0.1:5760 --seed 11": "Waiting for the autopilot: no HEARTBEAT",
@@ -261,7 +262,7 @@ def is_a_repeat(session: Session, earlier: list[Session]) -> bool:
 
 def mentioned(span: str) -> str:
     """The command of a code span: a name such as `plumeward fly` stands for its help."""
-    return f"{span} --help" if re.fullmatch(r"plumeward [a-z]+", span) else span
+    return f"{span} --help" if re.fullmatch(r"plumeward [a-z0-9]+", span) else span
 
 
 def sessions() -> list[Session]:

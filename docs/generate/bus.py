@@ -166,8 +166,8 @@ ACCESS = f"""
 ## Access
 
 With `--secure DIR` the router speaks mutual TLS on `tls/` endpoints, and admits each client by the common name of its certificate. That is
-`uav/<id>/<role>`, with an id from 1 to {MOST_VEHICLES}, or {" or ".join(f"`{role}`" for role in OF_ALL_VEHICLES)}, a role of all vehicles.
-A role says the health of the services of its name{_others()}.
+`uav/<id>/<role>`, with an id from 1 to {MOST_VEHICLES}, or {" or ".join(f"`{role}`" for role in OF_ALL_VEHICLES)}, a role of all vehicles;
+`ros` has no key of this page ([ROS 2](ros2.md#secured)). A role says the health of the services of its name{_others()}.
 All that this table does not allow is dropped. See [security](security.md).
 """
 

@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from link.access.identity import AccessError, issued
-from link.access.roles import OF_A_VEHICLE, OF_ALL_VEHICLES, ROUTER, common_name
+from link.access.roles import FOR_ALL, OF_A_VEHICLE, ROUTER, common_name
 
 CA = "ca"
 CA_DAYS = 3650
@@ -73,7 +73,7 @@ def make(
     made = [Made(CA, ca.certificate.not_valid_after_utc, new)]
     names = [
         ROUTER,
-        *OF_ALL_VEHICLES,
+        *FOR_ALL,
         *(common_name(role, f"uav/{number}") for number in vehicles for role in OF_A_VEHICLE),
     ]
     until = min(begins + datetime.timedelta(days=days) + EARLIER, ca.certificate.not_valid_after_utc)

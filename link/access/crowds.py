@@ -12,7 +12,7 @@ from collections import Counter, defaultdict
 
 import zenoh
 
-from link.access.roles import OF_ALL_VEHICLES
+from link.access.roles import FOR_ALL
 
 # Sessions of a certificate of one vehicle, and of one of all vehicles: all recorders share one. A router
 # holds 1,000 sessions.
@@ -21,7 +21,7 @@ MOST_OF_A_PART, MOST_FOR_ALL = 16, 250
 
 def most_of(name: str) -> int:
     """Return how many sessions the certificate of this name may hold at once."""
-    return MOST_FOR_ALL if name in OF_ALL_VEHICLES else MOST_OF_A_PART
+    return MOST_FOR_ALL if name in FOR_ALL else MOST_OF_A_PART
 
 
 class Crowds:

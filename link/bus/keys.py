@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from link.access.roles import AGENT, BRIDGE, ESTIMATOR, EVERYBODY, OPERATOR, PAYLOAD, VEHICLE
+from link.access.roles import AGENT, BRIDGE, ESTIMATOR, EVERYBODY, OPERATOR, PAYLOAD, ROS2, VEHICLE
 from link.bus.messages import Belief, Health, Stop
 
 FRAMES = "MAVLink 2 frames"
@@ -59,7 +59,7 @@ MAVLINK_OUT = Key(
     "unchanged, and, as component 191, "
     "those of its search.",
     writers=(VEHICLE, BRIDGE),
-    readers=(BRIDGE,),
+    readers=(BRIDGE, ROS2),
 )
 MAVLINK_IN = Key(
     "mavlink/in",
@@ -71,7 +71,7 @@ MAVLINK_IN = Key(
     "Commands to the vehicle, and setpoints of whoever flies it in the search's place. A bridge passes "
     "MAVLink 1 frames as they are. "
     "A real vehicle's autopilot gets them unchanged; commands to component 191 are for its search.",
-    writers=(BRIDGE, OPERATOR),
+    writers=(BRIDGE, OPERATOR, ROS2),
     readers=(VEHICLE, BRIDGE),
 )
 WAYPOINT = Key(
@@ -97,7 +97,7 @@ READING = Key(
     "One sample: LOCAL_POSITION_NED, WIND_COV, NAMED_VALUE_FLOAT `gas`, with one time_boot_ms, of a real "
     "vehicle the autopilot's. All readings are kept for late joiners.",
     writers=(VEHICLE,),
-    readers=(ESTIMATOR,),
+    readers=(ESTIMATOR, ROS2),
 )
 PAYLOAD_IN = Key(
     "payload/in",
@@ -133,7 +133,7 @@ BELIEF = Key(
     "1 per reading",
     "The belief after a reading; the attachment is the particle array. A subscriber needs only the newest.",
     writers=(ESTIMATOR,),
-    readers=(AGENT, VEHICLE),
+    readers=(AGENT, VEHICLE, ROS2),
     most_mib=64,
 )
 STOP = Key(
@@ -145,7 +145,7 @@ STOP = Key(
     "once per mission",
     "The search has ceased. Kept for late joiners.",
     writers=(ESTIMATOR,),
-    readers=(VEHICLE, AGENT, PAYLOAD, BRIDGE),
+    readers=(VEHICLE, AGENT, PAYLOAD, BRIDGE, ROS2),
 )
 HEALTH = Key(
     "health/<service>",

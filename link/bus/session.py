@@ -103,6 +103,7 @@ class Bus:
         announced: bool = True,
         secure: Path | None = None,
         sole: bool = False,
+        certified: str | None = None,
         **settings: Any,
     ) -> None:
         """Join a router as a client.
@@ -116,11 +117,12 @@ class Bus:
         secure: the folder of certificates; the connection is then mutual TLS, with the certificate of the
         service's role.
         sole: refuse to be here beside an older service of the same name, now and later on.
+        certified: the vehicle whose certificate is used, where that is not `namespace`.
 
         Raises NoRouter if no router admits us in time (open_client), BusError if `connect` is not an
         endpoint or an older one is here, AccessError if we have no certificate that is fit.
         """
-        connect, self._identity = secured("--connect", connect, secure, service, namespace)
+        connect, self._identity = secured("--connect", connect, secure, service, certified or namespace)
         usual: dict[str, Any] = {
             **({"transport__link__tls": self._identity.tls} if self._identity else {}),
             **({} if namespace is None else {"namespace": namespace}),

@@ -44,11 +44,11 @@ class Tap(Bus):
         self._full = 0
         self._fullness = Drops("messages")
         self._ended = threading.Event()
+        self._drainer = threading.Thread(target=self._keep_draining, name="tap", daemon=True)
         # Each message keeps its receive buffer. With the default of 64 kB, clearing the buffers is half the
         # cost of receiving.
         settings = {"transport__link__tx__batch_size": 16_384} | settings
         super().__init__(service, connect, namespace, log_level=log_level, announced=announced, **settings)
-        self._drainer = threading.Thread(target=self._keep_draining, name="tap", daemon=True)
         self._drainer.start()
 
     def subscribe(self, *keys: Key, newest: bool = False) -> None:
@@ -80,7 +80,8 @@ class Tap(Bus):
     def close(self) -> None:
         """Leave the bus."""
         self._ended.set()
-        self._drainer.join()
+        if self._drainer.is_alive():  # else an older service is here, and we never were
+            self._drainer.join()
         super().close()
 
     def _keep_draining(self) -> None:

@@ -43,6 +43,11 @@ class AreaFrame:
         self._newest_home: Fix | None = None
 
     @property
+    def home(self) -> Fix | None:
+        """Home, which is the area's corner; None before the vehicle has told it."""
+        return self._home
+
+    @property
     def corner(self) -> Ned | None:
         """Home in the vehicle's own frame; None while that is not known."""
         if self._origin and self._home:

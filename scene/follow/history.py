@@ -18,7 +18,7 @@ from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
 from link.record.reader import Recording
 from link.record.record import HEALTH_PREFIX, began_s
-from scene.follow.area import HEARTBEAT, PLACING, AreaFrame
+from scene.follow.area import HEARTBEAT, PLACING, AreaFrame, Fix
 from scene.follow.described import WindTurn, backdrop_of, turns_of
 from scene.follow.parts import LONGEST, Parts
 from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, frames, level_of, seen, waypoint
@@ -242,6 +242,11 @@ class History:
         self.waypoints.add(time_s, None)
 
     # ---- looking ----
+
+    @property
+    def home(self) -> Fix | None:
+        """Home on the earth, which is the area's corner; None before the vehicle has told it."""
+        return self._area.home
 
     @property
     def begin_s(self) -> float:

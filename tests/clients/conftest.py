@@ -5,10 +5,11 @@
 | test_mavsdk4.py | MAVSDK 4, the native binding; mavsdk4.py runs in its environment |
 | test_mavproxy.py | MAVProxy, headless, typed at |
 | test_qgroundcontrol.py | the request sequence of QGroundControl, from its source; qgroundcontrol.py plays it |
+| test_ros2.py | PyZeROS, ROS 2 by rmw_zenoh's rules; ros2_peer.py runs in its environment |
 | test_lossy.py | MAVSDK 4 and QGroundControl over a link that loses frames; lossy.py is the link |
 
 MAVSDK 3 is part of `.venv`: tests/system/test_mavsdk.py. `make test-all` makes the other environments with
-install.sh, from the exact versions in mavsdk4.txt and mavproxy.txt. A test whose client is not installed
+install.sh, from the exact versions in mavsdk4.txt, mavproxy.txt and pyzeros.txt. A test whose client is not installed
 is skipped; in CI it fails.
 """
 

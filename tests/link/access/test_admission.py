@@ -36,18 +36,19 @@ ROLES = {
     "agent": "agent",
     "payload": "payload",
     "bridge": "bridge",
+    "ros2": "ros2",
 }
 """The roles of a vehicle and their services; operator and observer are of all vehicles."""
 REMOTE = zenoh.Locality.REMOTE
 """What a session hears of itself, in its own process, never reaches the router."""
 EVERYBODY = (*ROLES, "operator", "observer")
 RIGHTS = {  # by hand: who publishes, and who receives beside operators and observers
-    "mavlink/out": ({"vehicle", "bridge"}, {"bridge"}),
-    "mavlink/in": ({"bridge", "operator"}, {"vehicle", "bridge"}),
+    "mavlink/out": ({"vehicle", "bridge"}, {"bridge", "ros2"}),
+    "mavlink/in": ({"bridge", "operator", "ros2"}, {"vehicle", "bridge"}),
     "waypoint": ({"agent"}, {"vehicle"}),
-    "reading": ({"vehicle"}, {"estimator"}),
-    "belief": ({"estimator"}, {"agent", "vehicle"}),
-    "agdc/stop": ({"estimator"}, {"vehicle", "agent", "payload", "bridge"}),
+    "reading": ({"vehicle"}, {"estimator", "ros2"}),
+    "belief": ({"estimator"}, {"agent", "vehicle", "ros2"}),
+    "agdc/stop": ({"estimator"}, {"vehicle", "agent", "payload", "bridge", "ros2"}),
     "health/estimator": ({"estimator"}, set(EVERYBODY)),
     "health/uav": ({"vehicle"}, set(EVERYBODY)),
     "payload/in": ({"vehicle"}, {"payload"}),

@@ -14,7 +14,7 @@ import pytest
 from link.access.authority import host, make
 from link.access.identity import AccessError
 
-ROLES = ["vehicle", "estimator", "agent", "payload", "bridge"]
+ROLES = ["vehicle", "estimator", "agent", "payload", "bridge", "ros2"]
 
 
 def shakes_hands(folder: Path, server: str, client: str | None, name: str = "127.0.0.1") -> bool:
@@ -47,7 +47,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "client", ["operator", "observer", *(f"uav/{number}/{role}" for number in (1, 2) for role in ROLES)]
+    "client",
+    ["operator", "observer", "ros", *(f"uav/{number}/{role}" for number in (1, 2) for role in ROLES)],
 )
 def test_each_role_of_each_vehicle_is_let_in_by_the_router(folder: Path, client: str) -> None:
     assert shakes_hands(folder, "router", client)
@@ -78,7 +79,7 @@ def test_another_ca_is_a_stranger(folder: Path, tmp_path: Path) -> None:
 
 def test_only_their_owner_can_read_the_keys(folder: Path) -> None:
     keys = sorted(folder.rglob("*.key"))
-    assert len(keys) == 1 + 3 + 2 * len(ROLES)
+    assert len(keys) == 1 + 4 + 2 * len(ROLES)
     assert {stat.S_IMODE(key.stat().st_mode) for key in keys} == {0o600}
 
 
