@@ -1,7 +1,8 @@
 """A ROS 2 node of others, PyZeROS, in an environment of its own: hears a vehicle's topics, and commands it.
 
 Its session is a client of the router. PyZeROS knows no latched topics: those are heard by Zenoh's advanced
-subscriber, with rmw_zenoh's options, on PyZeROS's keys, and decoded by it.
+subscriber, with rmw_zenoh's options, on PyZeROS's keys, and decoded by it. Nor does it know sequences of messages: PointCloud2, Path and TFMessage
+are left out.
 
 Usage: ros2_peer.py ENDPOINT DOMAIN NAMESPACE. Each line on stdin is an order, `goal_pose 3 4 0`, `pause
 true`, `abort`, `raw TOPIC HEX`, or `end`. It says `ready` on stdout, then at the end all that it has
@@ -21,9 +22,8 @@ import zenoh.ext
 from pyzeros.builtin_msgs import Attachment
 from pyzeros.sub import RawSub
 from ros2_pyterfaces.cydr.geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
-from ros2_pyterfaces.cydr.nav_msgs.msg import Path
 from ros2_pyterfaces.cydr.rosgraph_msgs.msg import Clock
-from ros2_pyterfaces.cydr.sensor_msgs.msg import Illuminance, NavSatFix, PointCloud2
+from ros2_pyterfaces.cydr.sensor_msgs.msg import Illuminance, NavSatFix
 from ros2_pyterfaces.cydr.std_msgs.msg import Bool, Empty, String
 
 VOLATILE = {
@@ -36,12 +36,10 @@ VOLATILE = {
 LATCHED = {
     "estimate": PoseWithCovarianceStamped,
     "estimate_fix": NavSatFix,
-    "belief": PointCloud2,
-    "track": Path,
     "stop": PoseWithCovarianceStamped,
     "state": String,
 }
-LARGE, MOST = ("belief", "track"), 20_000  # of what is large the newest is kept
+MOST = 20_000
 
 
 def plain(value: Any) -> Any:
@@ -77,8 +75,7 @@ class Peer:
     def _keep(self, topic: str, kind: Any, sample: zenoh.Sample) -> None:
         said = Attachment.deserialize(b"\0\1\0\0" + sample.attachment.to_bytes())
         attached = [int(said.sequence_number), int(said.source_timestamp), bytes(said.source_gid).hex()]
-        most = 1 if topic in LARGE else MOST
-        self.heard.setdefault(topic, deque(maxlen=most)).append(kind.deserialize(sample.payload.to_bytes()))
+        self.heard.setdefault(topic, deque(maxlen=MOST)).append(kind.deserialize(sample.payload.to_bytes()))
         self.attached.setdefault(topic, []).append(attached)
 
     def _hear(self, topic: str, kind: Any) -> Any:

@@ -16,7 +16,6 @@ from ground.ros2.topics import COMMANDS, PUBLISHED
 from link.bus.frames import fields_of
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP
 from link.bus.mavlink import split, unpack_reading
-from link.bus.messages import unpack_particles
 from link.record.reader import Recording, read
 from tests.clients.installed import HERE, python_of
 
@@ -108,10 +107,6 @@ def test_pyzeros_hears_the_mission_that_the_record_has(
     assert [(it["vector"]["x"], it["vector"]["y"]) for it in heard["wind"]] == [
         (-it.wind[0], -it.wind[1]) for it in readings.values()
     ]
-    (track,) = heard["track"]
-    assert [tuple(it["pose"]["position"].values()) for it in track["poses"]] == [
-        (*it.position, it.altitude_m) for it in readings.values()
-    ]
 
     beliefs = {
         json.loads(payload)["step"]: (json.loads(payload), rows)
@@ -120,11 +115,6 @@ def test_pyzeros_hears_the_mission_that_the_record_has(
     told = [(it["pose"]["pose"]["position"], it["pose"]["covariance"]) for it in heard["estimate"]]
     assert [(it["x"], it["y"]) for it, _ in told] == [tuple(it["mean"]) for it, _ in beliefs.values()]
     assert [[c[0], c[1], c[7]] for _, c in told] == [it["covariance"] for it, _ in beliefs.values()]
-    (cloud,), (last, rows) = heard["belief"], beliefs[max(beliefs)]
-    points = np.array(cloud["data"], np.uint8).view("<f4").reshape(-1, 4)
-    assert [it["name"] for it in cloud["fields"]] == ["x", "y", "z", "weight"]
-    assert np.array_equal(points[:, [0, 1, 3]], unpack_particles(rows, 2))
-    assert round(1e3 * stamp(cloud)) == last["time_boot_ms"]
 
     (stop,), claim = heard["stop"], json.loads(said(recording, STOP.name)[0][0])
     assert [stop["pose"]["pose"]["position"][axis] for axis in "xy"] == claim["estimate"]
@@ -167,7 +157,7 @@ def test_pyzeros_commands_the_vehicle_only_where_that_was_allowed(
     mission = start(
         "sitl", "fly", "--seed", "3", "--speedup", "4", "--no-record", "--connect", router, cwd=tmp_path
     )
-    mission.comes_to("step 2")
+    mission.comes_to("step  10")
     deaf.order("pause", "true")  # in another domain
     node.order("raw", "pause", "00010000")
     ros.comes_to("refused pause: Could not deserialize")

@@ -7,7 +7,9 @@ The tokens are the examples of rmw_zenoh's docs/design.md. The hashes are those 
 import struct
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from ground.ros2 import rmw
@@ -114,6 +116,21 @@ def test_a_fix_has_the_bytes_that_its_definition_gives(wire: Wire) -> None:
         ]
     )
     assert said == by_hand
+
+
+def test_a_track_ends_with_its_last_pose(wire: Wire) -> None:
+    said = Messages(wire, "uav_1").track([((1.0, 2.0, 3.0), 0), ((4.0, 5.0, 6.0), 7)], 7)
+    assert said.endswith(struct.pack("<7d", 4.0, 5.0, 6.0, 0.0, 0.0, 0.0, 1.0))
+    assert struct.pack("<2I", 2, 0) in said  # two poses, the first at 0 s
+
+
+def test_a_belief_s_cloud_has_the_rows_of_its_particles_as_they_are(wire: Wire) -> None:
+    rows = np.array([[1.0, 2.0, 100.0, 0.25], [3.0, 4.0, 200.0, 0.75]], np.float32)
+    said = SimpleNamespace(mean=(0.0, 0.0), z=1.5, unknowns=("x", "y", "wind-speed"))
+    cloud = Messages(wire, "uav_1").cloud(said, rows, 0)  # type: ignore[arg-type]
+    points = struct.pack("<10f", 1.0, 2.0, 1.5, 100.0, 0.25, 3.0, 4.0, 1.5, 200.0, 0.75)
+    assert cloud.endswith(struct.pack("<3I", 20, 40, 40) + points + b"\1")  # step, row, bytes; dense
+    assert b"wind_speed\0" in cloud
 
 
 @pytest.mark.parametrize(
