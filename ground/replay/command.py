@@ -39,7 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log",
         metavar="LOG",
         type=Path,
-        help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog, .bin or .ulg",
+        help="an .mcap that a mission or `record` wrote, any autopilot's .tlog, .bin or .ulg, or a table of "
+        "positions and gas (.csv)",
     )
     parser.add_argument(
         "-e",
@@ -120,30 +121,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--wind",
         type=partial(_pair, "SPEED,FROM"),
         metavar="SPEED,FROM",
-        help="tlog: wind to use instead of the log's, m/s and the direction it comes from in degrees",
+        help="tlog, csv: wind to use instead of the log's, m/s and the direction it comes from in degrees",
     )
     parser.add_argument(
         "--every",
         type=positive,
         metavar="S",
-        help="tlog: time between two readings (default: 1 s; all readings that a record holds)",
+        help="tlog, csv: time between two readings (default: 1 s; all readings that a record holds; "
+        "longer for a long table)",
     )
     parser.add_argument(
         "--origin",
         type=partial(_pair, "NORTH,EAST"),
         metavar="NORTH,EAST",
-        help="tlog: south-western corner of the search area, m in the log's local frame (default: home, if "
-        "the readings lie "
-        "in the area then, else around the flight)",
+        help="tlog, csv: south-western corner of the search area, m in the log's local frame, of a "
+        "table from its first position (default: home, if the readings lie in the area then, else around the "
+        "flight)",
     )
     parser.add_argument(
         "--area",
         type=positive,
         metavar="M",
-        help="tlog: side of the search area (default: around the flight)",
+        help="tlog, csv: side of the search area (default: around the flight)",
     )
     parser.add_argument(
         "--plume", metavar="MISSION", help="tlog: simulate the gas along the path with this mission's plume"
+    )
+    parser.add_argument(
+        "--columns",
+        metavar="PRESET,NAME=COLUMN@UNIT",
+        help="csv: what its columns are: skyhub, gasflux, or "
+        "time=…,lat=…,lon=…,gas=COLUMN@UNIT,wind=…,from=… (default: the preset that its first row is like)",
+    )
+    parser.add_argument(
+        "--background",
+        type=cli.number(-math.inf, math.inf),
+        metavar="G",
+        help="csv: gas in clean air, subtracted, in the table's unit (default: that of the flight's "
+        "clean air)",
+    )
+    parser.add_argument(
+        "--ray",
+        type=cli.number(0.1, 1000),
+        metavar="M",
+        help="csv: of gas in ppm*m, how long the sensor's path straight down is (default: the table's)",
     )
     cli.add_filter_arguments(parser)
     for flag, name, metavar, what in (

@@ -9,6 +9,8 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 
+from ground.logs import survey
+from ground.logs.table import is_table
 from ground.replay import settings, verify
 from ground.replay.verify import Answer, Rules
 from ground.tlog import flight
@@ -29,8 +31,10 @@ VEHICLE_KEYS = {
 }
 # The service that sends each kind of answer.
 SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
-# Flags for reading an autopilot's log, and flags for its estimator.
-READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume")
+# Flags for reading a log of others, those of an autopilot's only, those of a table only, and flags for its
+# estimator.
+READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume", "columns", "background", "ray")
+OF_AUTOPILOTS, OF_TABLES = ("sysid", "gas", "plume"), ("columns", "background", "ray")
 FILTER_FLAGS = (
     "particles",
     "assume",
@@ -45,6 +49,10 @@ FILTER_FLAGS = (
     "sensor",
     "seed",
 )
+# Of a sensor of which only the noise in clean air is known: readings are wrong by this share of the gas.
+SENSOR_NOISE = 0.3
+# Of a leak of which nothing is told: 1 kg/h, two thirds within a factor of 7.4.
+UNTOLD_RATE = "q=lognormal:0.28,2"
 
 FIRST_VEHICLE = "uav/1"  # the namespace of the first vehicle
 OVERTAKE_NS = 500_000_000  # largest time by which messages overtake each other on their way into a log, ns
@@ -195,6 +203,49 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
     )
 
 
+def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
+    """Read a table of positions, gas and wind as the flags `chosen` say; raises BadInput.
+
+    It is for an estimator with the flags `filtering`.
+    """
+    flown = survey.read(
+        path,
+        columns=chosen.get("columns"),
+        wind=chosen.get("wind"),
+        every_s=chosen.get("every"),
+        background=chosen.get("background"),
+        ray_m=chosen.get("ray"),
+        origin=chosen.get("origin"),
+        area_m=chosen.get("area"),
+    )
+    assert flown.sensed
+    noise, ray_m = flown.sensed
+    known: dict[str, Any] = {"sensor": f"gaussian:{SENSOR_NOISE},{noise:.4g}"}
+    if ray_m:
+        known["sensor"] = f"tdlas:{SENSOR_NOISE},{noise:.4g},ray={ray_m:g},dwell=0"
+    notes = list(flown.notes)
+    if "sensor" not in filtering:
+        notes.append(f"sensor: {known['sensor']}, with the noise of this flight; --sensor says another")
+    priors = filtering.get("prior", [])
+    if "rate" not in filtering and not any(prior.startswith("q=") for prior in priors):
+        known["prior"] = [UNTOLD_RATE, *priors]
+        notes.append("rate: unknown, 1 kg/h within a factor of 7.4; --rate Q says it to a factor of 2")
+    estimator = settings.as_words(
+        {**filtering, **known, "sysid": flown.system, "area": flown.area_m}
+        | {name: value for name, value in filtering.items() if name != "prior"}
+    )
+    return Source(
+        path,
+        flown.entries,
+        {},
+        {"estimator": estimator},
+        f"uav/{flown.system}",
+        False,
+        area_m=flown.area_m,
+        notes=tuple(notes),
+    )
+
+
 def find(args: argparse.Namespace) -> tuple[Source, Rules | None]:
     """Return the source that a command line asks for, and the rules of --verify; raises BadInput."""
     chosen = {name: args.given[name] for name in READING_FLAGS if name in args.given}
@@ -202,7 +253,11 @@ def find(args: argparse.Namespace) -> tuple[Source, Rules | None]:
     try:
         recorded = is_record(args.log)
         _refuse(args, recorded, chosen, filtering)
-        source = recording(args.log, args.policy) if recorded else autopilot_log(args.log, chosen, filtering)
+        if recorded:
+            source = recording(args.log, args.policy)
+        else:
+            read = table if is_table(args.log) or "columns" in chosen else autopilot_log
+            source = read(args.log, chosen, filtering)
     except RecordError as error:
         raise BadInput(str(error)) from None
     if not source.entries:
@@ -231,10 +286,18 @@ def _refuse(
 ) -> None:
     """Raise BadInput on a flag that would have no effect here."""
     flags = {name: f"--{name.replace('_', '-')}" for name in (*chosen, *filtering)}
+    tabular = is_table(args.log) or "columns" in chosen
     rules = [
         *(
             (recorded, f"{flag}: not allowed with {args.log}: a recording has its own settings")
             for flag in flags.values()
+        ),
+        *(
+            (
+                not recorded and name in (OF_AUTOPILOTS if tabular else OF_TABLES),
+                f"{flag}: not allowed with {args.log}: it is {'a table' if tabular else 'no table (.csv)'}",
+            )
+            for name, flag in flags.items()
         ),
         *(
             (

@@ -37,6 +37,13 @@ class Origin(NamedTuple):
     lon_deg: float | None
 
 
+class Sensed(NamedTuple):
+    """What a flight says of its sensor."""
+
+    noise: float  # in clean air, in the unit of the readings
+    ray_m: float = 0.0  # length of the path that it looks along, straight down; 0: it meets the gas itself
+
+
 class LoggedFlight(NamedTuple):
     """A flight as a mission."""
 
@@ -45,6 +52,7 @@ class LoggedFlight(NamedTuple):
     area_m: float  # side of the search area
     origin: Origin
     notes: list[str]  # what was read, what was left out and why, in lines for people
+    sensed: Sensed | None = None  # None: the readings are of the sensor that the estimator is told
 
 
 def read(
@@ -90,7 +98,7 @@ def read(
         air = read_wind(log, autopilot, clock, wind)
     taken = _take(samples, every, flying, flown, air, left_out)
     fitted = (area_m or AREA_M, None) if plume else (area_m, home)
-    side_m, corner = _area([place for _, place, _ in taken], origin, *fitted)
+    side_m, corner = fitted_area([place for _, place, _ in taken], origin, *fitted)
     readings = _readings(taken, corner, side_m, plume, left_out)
     out = ", ".join(f"{count:,} {what}" for what, count in left_out.items())
     if not readings:
@@ -98,7 +106,7 @@ def read(
             f"{path}: none of the {len(samples):,} samples can be a reading; left out: {out or 'none'}"
         )
     where = Origin(*corner, *(flown.anchor.globe(*corner) if flown.anchor else (None, None)))
-    log.notes.append(_note_on_readings([reading for reading, _ in readings], every))
+    log.notes.append(note_on_readings([reading for reading, _ in readings], every))
     log.notes += [f"left out: {out}"] * bool(out)
     globe = "" if where.lat_deg is None else f" ({where.lat_deg:.7f}, {where.lon_deg:.7f})"
     log.notes.append(
@@ -187,10 +195,10 @@ def _take(
     return taken
 
 
-def _area(
+def fitted_area(
     places: Sequence[NorthEastUp], origin: Pair | None, area_m: float | None, home: Pair | None
 ) -> tuple[float, Pair]:
-    """Return the area's side and (north, east) corner in m.
+    """Return the area's side and (north, east) corner in m, from places (N, 3) m.
 
     As given, else at home if all of it lies north and east of that, as a search's does; else centred on
     the path. The side is the default, or a larger one that holds the path.
@@ -234,7 +242,8 @@ def _readings(
     return readings
 
 
-def _note_on_readings(readings: Sequence[Reading], every_s: float) -> str:
+def note_on_readings(readings: Sequence[Reading], every_s: float) -> str:
+    """Say how many readings there are, and between which values."""
     gas = [reading.gas for reading in readings]
     x, y = np.mean([reading.wind for reading in readings], axis=0).tolist()
     most = f", at most one per {every_s:g} s" * (every_s > LEAST_EVERY_S)
