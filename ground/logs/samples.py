@@ -61,9 +61,9 @@ def samples(path: Path, columns: str | None, interval_s: float = INTERVAL_S) -> 
             preset = names.guess(table.header)
             if columns is None and not preset:
                 raise BadInput(
-                    f"{path}: its columns are of none of the presets ({', '.join(names.PRESETS)}); name them "
-                    "with --columns time=COLUMN,lat=COLUMN,lon=COLUMN,gas=COLUMN@UNIT,wind=COLUMN,from=COLUMN; "
-                    "it has " + printable(", ".join(table.header[:20]))
+                    f"{path}: its columns are of none of the presets ({', '.join(names.PRESETS)}); give "
+                    "--columns time=COLUMN,lat=COLUMN,lon=COLUMN,gas=COLUMN@UNIT,wind=COLUMN,from=COLUMN of "
+                    f"{printable(', '.join(table.header[:20]))}"
                 )
             wanted = names.parse(columns or preset)
             found = names.in_table(wanted, table.header, path)

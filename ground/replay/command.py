@@ -22,6 +22,7 @@ from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
 from plume.sensors import names as sensor
 from sitl.launch.processes import MissionFailed
+from sitl.launch.recording import RecordFiles, record_file
 
 
 def _pair(names: str, text: str) -> tuple[float, float]:
@@ -110,6 +111,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--json", action="store_true", help="print the result as one JSON object on the last line of stdout"
     )
     parser.add_argument(
+        "--record",
+        type=record_file,
+        metavar="FILE.mcap",
+        help="tlog, csv: record the replay, with the beliefs, as a mission's record",
+    )
+    cli.add_output_guard(parser)
+    parser.add_argument(
         "--sysid", type=cli.whole(1, 255), metavar="N", help="tlog: which vehicle (default: the only one)"
     )
     parser.add_argument(
@@ -194,12 +202,17 @@ def run(args: argparse.Namespace) -> int:
     Returns the exit status: 1 if something differs, or if pieces of the log are missing.
     """
     source, rules = find(args)
+    files = RecordFiles(args.record) if args.record else None
+    if files:
+        files.prepare(args.force)
     for note in source.notes:
         tell(f"replay: {note}")
     try:
         while True:
             began = time.monotonic()
-            result = replay(source, rules, args.speedup, args.connect, args.secure)
+            result = replay(
+                source, rules, args.speedup, args.connect, args.secure, files.path if files else None
+            )
             tell(
                 _text(result, source, rules, time.monotonic() - began),
                 sys.stderr if args.json else sys.stdout,
@@ -208,13 +221,27 @@ def run(args: argparse.Namespace) -> int:
                 break
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
+        _give_up(files)
         raise
     except MissionFailed as failure:
         print(f"error: {failure}", file=sys.stderr)
+        _give_up(files)
         return failure.status
+    if files:
+        files.made = True
+        if trouble := files.take_place():
+            tell(f"warning: {trouble}", sys.stderr)
+        files.tell(sys.stderr if args.json else sys.stdout)
     if args.json:
         print(_json(result, source, rules))
     return cli.FAILED if result.difference or source.damaged else 0
+
+
+def _give_up(files: RecordFiles | None) -> None:
+    """Say where the record of a replay is that did not come to its end."""
+    if files:
+        files.made = True
+        files.give_up(refused=False)
 
 
 def _text(result: Player, source: Source, rules: Rules | None, took_s: float) -> str:

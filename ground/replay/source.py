@@ -82,6 +82,16 @@ class Source(NamedTuple):
     area_m: float = AREA_M  # side of the search area
     notes: tuple[str, ...] = ()  # remarks on the log, one line each
 
+    @property
+    def about(self) -> dict[str, Any]:
+        """What the record of a replay says of itself."""
+        return {
+            "namespace": self.namespace,
+            "parts": dict(self.parts),
+            "mission": {"about": f"replay of {self.path.name}"},
+            "log": {"file": self.path.name, "notes": self.notes},
+        }
+
 
 class _Release(msgspec.Struct, frozen=True):
     source: tuple[float, float] | None = None
@@ -315,6 +325,11 @@ def _refuse(
         (
             args.loop and args.connect,
             "--loop: not allowed with --connect: an estimator accepts the same readings only once",
+        ),
+        (
+            args.record and (recorded or args.connect or args.loop),
+            f"--record: only allowed with one replay of a log of others, on a router of its own, not with "
+            f"{'--connect' if args.connect else '--loop' if args.loop else args.log}",
         ),
         (
             args.verify and not recorded,
