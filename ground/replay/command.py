@@ -123,7 +123,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--gas",
         metavar="NAME",
-        help="tlog: message of the gas readings, NAME or MESSAGE.FIELD (default: gas)",
+        help="tlog: message of the gas readings, NAME or MESSAGE.FIELD, of another unit NAME@ppm "
+        "(default: gas)",
     )
     parser.add_argument(
         "--wind",
@@ -165,7 +166,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--background",
         type=cli.number(-math.inf, math.inf),
         metavar="G",
-        help="csv: gas in clean air, subtracted, in the table's unit (default: that of the flight's "
+        help="tlog, csv: gas in clean air, subtracted, in the log's unit (default: that of the flight's "
         "clean air)",
     )
     parser.add_argument(

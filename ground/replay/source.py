@@ -14,6 +14,7 @@ from ground.logs.table import is_table
 from ground.replay import settings, verify
 from ground.replay.verify import Answer, Rules
 from ground.tlog import flight
+from ground.tlog.flight import LoggedFlight
 from link.bus.keys import HEALTH, MAVLINK_OUT, READING
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.cli import BadInput
@@ -34,7 +35,7 @@ SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
 # Flags for reading a log of others, those of an autopilot's only, those of a table only, and flags for its
 # estimator.
 READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume", "columns", "background", "ray")
-OF_AUTOPILOTS, OF_TABLES = ("sysid", "gas", "plume"), ("columns", "background", "ray")
+OF_AUTOPILOTS, OF_TABLES = ("sysid", "gas", "plume"), ("columns", "ray")
 FILTER_FLAGS = (
     "particles",
     "assume",
@@ -188,6 +189,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         origin=chosen.get("origin"),
         area_m=chosen.get("area"),
         plume=world,
+        background=chosen.get("background"),
     )
     known: dict[str, Any] = {}
     if world:
@@ -198,7 +200,8 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
             "lifetime": told.tau,
             "sensor": sensor.text(world.sensor),
         }
-    estimator = settings.as_words({**known, **filtering, "sysid": flown.system, "area": flown.area_m})
+    notes = list(flown.notes)
+    estimator = _estimator(flown, {**known, **filtering, **_sensing(flown, filtering, notes)})
     return Source(
         path,
         flown.entries,
@@ -209,7 +212,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         truth=world.truth.source if world else None,
         world=world.name if world else AS_MODELLED,
         area_m=flown.area_m,
-        notes=tuple(flown.notes),
+        notes=tuple(notes),
     )
 
 
@@ -228,22 +231,8 @@ def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -
         origin=chosen.get("origin"),
         area_m=chosen.get("area"),
     )
-    assert flown.sensed
-    noise, ray_m = flown.sensed
-    known: dict[str, Any] = {"sensor": f"gaussian:{SENSOR_NOISE},{noise:.4g}"}
-    if ray_m:
-        known["sensor"] = f"tdlas:{SENSOR_NOISE},{noise:.4g},ray={ray_m:g},dwell=0"
     notes = list(flown.notes)
-    if "sensor" not in filtering:
-        notes.append(f"sensor: {known['sensor']}, with the noise of this flight; --sensor says another")
-    priors = filtering.get("prior", [])
-    if "rate" not in filtering and not any(prior.startswith("q=") for prior in priors):
-        known["prior"] = [UNTOLD_RATE, *priors]
-        notes.append("rate: unknown, 1 kg/h within a factor of 7.4; --rate Q says it to a factor of 2")
-    estimator = settings.as_words(
-        {**filtering, **known, "sysid": flown.system, "area": flown.area_m}
-        | {name: value for name, value in filtering.items() if name != "prior"}
-    )
+    estimator = _estimator(flown, {**filtering, **_sensing(flown, filtering, notes)})
     return Source(
         path,
         flown.entries,
@@ -254,6 +243,26 @@ def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -
         area_m=flown.area_m,
         notes=tuple(notes),
     )
+
+
+def _sensing(flown: LoggedFlight, filtering: Mapping[str, Any], notes: list[str]) -> dict[str, Any]:
+    """Return flags for an estimator of gas in a unit that was named, unless `filtering` has them."""
+    chosen: dict[str, Any] = {}
+    if flown.sensed and "sensor" not in filtering:
+        noise, ray_m = flown.sensed
+        kind = f"tdlas:{SENSOR_NOISE},{noise:.4g},ray={ray_m:g},dwell=0"
+        chosen["sensor"] = kind if ray_m else f"gaussian:{SENSOR_NOISE},{noise:.4g}"
+        notes.append(f"sensor: {chosen['sensor']}, with the noise of this flight; --sensor says another")
+    given = filtering.get("prior", [])
+    if flown.sensed and "rate" not in filtering and not any(prior.startswith("q=") for prior in given):
+        chosen["prior"] = [UNTOLD_RATE, *given]
+        notes.append("rate: unknown, 1 kg/h within a factor of 7.4; --rate Q says it to a factor of 2")
+    return chosen
+
+
+def _estimator(flown: LoggedFlight, chosen: Mapping[str, Any]) -> list[str]:
+    """Return the flags of an estimator, with the assumption: a record without one is an older one."""
+    return settings.as_words({"assume": "field", **chosen, "sysid": flown.system, "area": flown.area_m})
 
 
 def find(args: argparse.Namespace) -> tuple[Source, Rules | None]:

@@ -11,7 +11,17 @@ import numpy as np
 from ground.tlog import track
 from ground.tlog.clock import Floats, VehicleClock, vehicle_clock
 from ground.tlog.log import AUTOPILOT, Autopilot, FlightLog, choose, open_log
-from ground.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wind, recorded, steady
+from ground.tlog.samples import (
+    Air,
+    LoggedGas,
+    Pair,
+    parse_gas,
+    read_gas,
+    read_wind,
+    recorded,
+    steady,
+    without_background,
+)
 from ground.tlog.track import FlownPath, NorthEastUp
 from link.bus.keys import MAVLINK_OUT, READING
 from link.bus.mavlink import GAS_NAME, WRAP_MS, Codec, Reading, pack_reading
@@ -65,6 +75,7 @@ def read(
     origin: Pair | None = None,
     area_m: float | None = None,
     plume: World | None = None,
+    background: float | None = None,
 ) -> LoggedFlight:
     """Read a flight; raises BadInput if it yields no readings or an argument is not allowed.
 
@@ -73,11 +84,14 @@ def read(
     wind. every_s: at most one reading per this time; default: `EVERY_S`, but all readings of a search's own
     record. plume: a simulated world to take gas and wind from, instead of the log. origin: (north, east) in m
     of the search area's south-west corner in the log's local frame; default: home if all readings lie in the
-    area then, else around the path. area_m: the side of the area.
+    area then, else around the path. area_m: the side of the area. background: of gas whose unit `gas` names, in
+    that unit; default: that of clean air in the flight.
     """
     _check(wind, every_s, origin, area_m, plume)
     log = open_log(path, gas)
     source = parse_gas(gas, log.is_onboard)
+    if background is not None and source.unit is None:
+        raise BadInput("--background: only allowed where --gas names a unit: --gas NAME@UNIT")
     autopilot = choose(log, system)
     clock = vehicle_clock(log, autopilot)
     own, foreign = recorded(log, autopilot, clock)
@@ -85,6 +99,7 @@ def read(
     flying = track.flying(log, autopilot, clock)
     home = track.home(log, autopilot, clock, flying, flown)
     left_out: Counter[str] = Counter()
+    sensed: Sensed | None = None
     every, air = every_s or EVERY_S, steady((0.0, 0.0))
     if own and not plume and wind is None and gas == GAS_NAME:
         home = home or (0.0, 0.0)
@@ -95,6 +110,9 @@ def read(
         log.notes.append("gas and wind: simulated along the path")
     else:
         samples = read_gas(log, autopilot, clock, source, left_out)
+        if source.unit:
+            samples, noise = without_background(samples, source, background, log.notes)
+            sensed = Sensed(noise)
         air = read_wind(log, autopilot, clock, wind)
     taken = _take(samples, every, flying, flown, air, left_out)
     fitted = (area_m or AREA_M, None) if plume else (area_m, home)
@@ -113,7 +131,9 @@ def read(
         f"area: side {side_m:g} m, south-west corner {where.north_m:g} m north and {where.east_m:g} m east "
         f"of the local origin{globe}"
     )
-    return LoggedFlight(_entries(log, autopilot, clock, readings), autopilot.system, side_m, where, log.notes)
+    return LoggedFlight(
+        _entries(log, autopilot, clock, readings), autopilot.system, side_m, where, log.notes, sensed
+    )
 
 
 def _check(
