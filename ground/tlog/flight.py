@@ -84,8 +84,8 @@ def read(
     wind. every_s: at most one reading per this time; default: `EVERY_S`, but all readings of a search's own
     record. plume: a simulated world to take gas and wind from, instead of the log. origin: (north, east) in m
     of the search area's south-west corner in the log's local frame; default: home if all readings lie in the
-    area then, else around the path. area_m: the side of the area. background: of gas whose unit `gas` names, in
-    that unit; default: that of clean air in the flight.
+    area then, else around the path. area_m: the side of the area. background: of gas whose unit `gas` names,
+    in that unit; default: that of clean air in the flight.
     """
     _check(wind, every_s, origin, area_m, plume)
     log = open_log(path, gas)

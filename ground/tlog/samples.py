@@ -50,7 +50,8 @@ class GasSource(NamedTuple):
 def parse_gas(text: str, is_onboard: bool = False) -> GasSource:
     """Parse NAME (of a NAMED_VALUE_FLOAT or NAMED_VALUE_INT) or MESSAGE.FIELD, either with *FACTOR or @UNIT.
 
-    A unit is converted in the standard atmosphere. Of an on-board log, the message has become a named value already. Raises BadInput.
+    A unit is converted in the standard atmosphere. Of an on-board log, the message has become a named value
+    already. Raises BadInput.
     """
     what, at, said = text.partition("@")
     if at:
@@ -81,8 +82,7 @@ def parse_gas(text: str, is_onboard: bool = False) -> GasSource:
     if not 1 <= len(what) <= NAME_LENGTH:
         raise BadInput(
             f"{text!r} is not allowed; wanted the NAME of a NAMED_VALUE_FLOAT, 1 to {NAME_LENGTH} "
-            "characters, or MESSAGE.FIELD such as SCALED_PRESSURE3.temperature, either followed by *FACTOR or "
-            "@UNIT"
+            "characters, or MESSAGE.FIELD such as SCALED_PRESSURE3.temperature, either with *FACTOR or @UNIT"
         )
     return GasSource(text, NAMED, "value", what, factor)
 
@@ -217,8 +217,8 @@ def without_background(
         "as given" if background is not None else f"that of clean air, {100 * clean.share:.0f}% of the values"
     )
     notes.append(
-        f"gas: {source.unit.text()}; 1 {source.unit.name} is {source.factor:.4g} g/m³ at {STANDARD_C:g} °C and "
-        f"{STANDARD_HPA:g} hPa; {subtracted / source.factor:.4g} {source.unit.name} is subtracted, {how}"
+        f"gas: {source.unit.text()}; 1 {source.unit.name} is {source.factor:.4g} g/m³ at {STANDARD_C:g} °C "
+        f"and {STANDARD_HPA:g} hPa; {subtracted / source.factor:.4g} {source.unit.name} is subtracted, {how}"
     )
     return [sample._replace(gas=float32(sample.gas - subtracted)) for sample in samples], clean.noise
 
