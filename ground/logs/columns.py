@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from link.cli import BadInput
+from link.terminal import printable
 from plume import units
 
 # What a column can hold, with its units: the value of one, in the unit that is listed first.
@@ -38,6 +39,7 @@ TIMES = ("auto", "s", "ms", "us")  # of a number; text says itself what it is
 NAMES = ("time", "date", "lat", "lon", "gas", *(name for name in SCALES if name not in ("lat", "lon")))
 NEEDED = ("time", "lat", "lon", "gas")
 VALID = (0.0, 1.0)  # of a status
+LISTED, LONGEST = 20, 40  # names of columns that are listed, and the characters of one
 ZONE = re.compile(r"([+-])(\d\d):?(\d\d)")
 
 
@@ -131,10 +133,15 @@ def guess(header: Sequence[str]) -> str:
     )
 
 
+def shown(header: Sequence[str]) -> str:
+    """Return the first names of a table's columns, for one line."""
+    names = ", ".join(name if len(name) <= LONGEST else f"{name[:LONGEST]}…" for name in header[:LISTED])
+    return printable(names) + (f" and {len(header) - LISTED:,} more" if len(header) > LISTED else "")
+
+
 def in_table(columns: Columns, header: Sequence[str], path: object) -> dict[str, tuple[int, LoggedColumn]]:
     """Return the place of each column in the rows of a table. Raises BadInput if the table lacks one."""
     found: dict[str, tuple[int, LoggedColumn]] = {}
-    shown = ", ".join(header[:20]) + (f" and {len(header) - 20:,} more" if len(header) > 20 else "")
     for name, column in columns.items():
         many = header.count(column.name)
         if many > 1:
@@ -142,7 +149,9 @@ def in_table(columns: Columns, header: Sequence[str], path: object) -> dict[str,
         if many:
             found[name] = header.index(column.name), column
         elif not column.is_optional:
-            raise BadInput(f"{path}, row 1: no column {column.name!r} for {name}; wanted one of {shown}")
+            raise BadInput(
+                f"{path}, row 1: no column {column.name!r} for {name}; wanted one of {shown(header)}"
+            )
     if "wind" not in found or "from" not in found:
         for name in ("wind", "from", "heading"):
             found.pop(name, None)

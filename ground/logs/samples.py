@@ -27,6 +27,7 @@ LATEST_S = 4_102_444_800.0  # the year 2100
 EPOCH_S, EPOCH_MS, EPOCH_US = 1e8, 1e11, 1e14  # a greater number is a time since 1970 in s, ms, µs
 DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})")
 LONGEST = 40  # characters of a value that are quoted
+LISTED = 5  # reasons that are listed where no row can be used
 QUANTITIES = ("gas", "lat", "lon", "height", "east", "north", "temperature", "pressure", "path")
 
 
@@ -63,7 +64,7 @@ def samples(path: Path, columns: str | None, interval_s: float = INTERVAL_S) -> 
                 raise BadInput(
                     f"{path}: its columns are of none of the presets ({', '.join(names.PRESETS)}); give "
                     "--columns time=COLUMN,lat=COLUMN,lon=COLUMN,gas=COLUMN@UNIT,wind=COLUMN,from=COLUMN of "
-                    f"{printable(', '.join(table.header[:20]))}"
+                    f"{names.shown(table.header)}"
                 )
             wanted = names.parse(columns or preset)
             found = names.in_table(wanted, table.header, path)
@@ -109,9 +110,13 @@ class _Reader:
 
     def read(self, table: Table) -> None:
         """Read all rows."""
+        width = len(table.header)
         for row, cells in table.rows:
             self._rows += 1
             try:
+                if len(cells) > width and any(map(str.strip, cells[width:])):
+                    reason = f"{len(cells)} cells; wanted {width} (has it decimal commas without quotes?)"
+                    raise _Bad("too long", f"row {row} has {reason}")
                 self._take(row, [cell.strip() for cell in cells])
             except _Bad as bad:
                 count, first = self._out.get(bad.reason, (0, bad.words))
@@ -138,7 +143,7 @@ class _Reader:
         if math.isnan(self._first_s):
             self._first_s, self._first_lon = at_s, values[QUANTITIES.index("lon")]
         self._newest_s = at_s
-        if (now := math.floor((at_s - self._first_s) / self._interval_s)) != self._number:
+        if (now := math.floor((at_s - self._first_s) / self._interval_s + 1e-6)) != self._number:
             self._close()
             self._number = now
         lon = QUANTITIES.index("lon")  # around the first one: beyond 180° they go on
@@ -246,7 +251,7 @@ class _Reader:
             for reason, (count, words) in self._out.items()
         ]
         if not self._means:
-            why = "; ".join(printable(line) for line in told) or "it has no rows after the first"
+            why = printable("; ".join(told[:LISTED])) or "it has no rows after the first"
             raise BadInput(f"{self._path}: none of its {self._rows:,} rows can be a sample; {why}")
         if self._repeated:
             self.notes.append(

@@ -15,7 +15,7 @@ CORNER = (51.5, 9.25)
 """Latitude and longitude of (0, 0)."""
 M_PER_DEG = 111_194.92664455873
 """Of latitude, on a sphere of 6,371 km."""
-METHANE_GM3 = 0.000678486
+METHANE_GM3 = 0.000678499
 """1 ppm at 15 °C and 1013.25 hPa: 101325 Pa · 16.043 g/mol / (8.314463 · 288.15 K) · 1e-6."""
 
 
