@@ -144,9 +144,9 @@ def test_pymavlink_and_pyulog_read_the_same_values_from_these_logs(tmp_path: Pat
 
 
 def test_gas_of_a_named_unit_is_converted_and_its_background_subtracted(tmp_path: Path) -> None:
-    for log in (flown(), flown_by_px4()):
-        said = [reading.gas for reading in readings(read(log.write(tmp_path)))]
-        flight = read(log.write(tmp_path), gas="gas@ppm", background=2.0)
+    for log, name in ((flown(), "gas"), (flown_by_px4(), "CH4")):
+        said = [reading.gas for reading in readings(read(log.write(tmp_path), gas=name))]
+        flight = read(log.write(tmp_path), gas=f"{name}@ppm", background=2.0)
         ppm = 101_325 * 16.043 / (8.314463 * 288.15) * 1e-6
         assert [reading.gas for reading in readings(flight)] == pytest.approx(
             [(gas - 2.0) * ppm for gas in said], abs=1e-9
