@@ -89,6 +89,7 @@ class Source(NamedTuple):
         return {
             "namespace": self.namespace,
             "parts": dict(self.parts),
+            "area_m": self.area_m,
             "mission": {"about": f"replay of {self.path.name}"},
             "log": {"file": self.path.name, "notes": self.notes},
         }
