@@ -24,6 +24,7 @@ from plume.geodesy import EARTH_RADIUS_M, to_global, to_local
 SYSTEM = 1  # the vehicle's MAVLink system id
 USUAL_EVERY_S = 1.0
 LEAST_EVERY_S = 0.05
+ENOUGH = 20  # readings that tell their noise; of fewer it is that of a row
 MOST_READINGS = 300  # unless --every is given: a belief's moves weigh all readings before
 SPACING_M = 1.0  # a vehicle that stays this near to where a reading began
 HOVER_S = 10.0  # gives one reading in this time
@@ -60,7 +61,7 @@ def read(
     took, used = samples(path, columns, min(every_s or INTERVAL_S, INTERVAL_S))
     notes = [_note_on_rows(path, took), *took.notes]
     notes += [f"left out: {line}" for line in took.left_out]
-    background_g, ray_m = _gas(path, took, used, background, ray_m, notes)
+    background_g, noise, ray_m = _gas(path, took, used, background, ray_m, notes)
     winds = _winds(path, took, used, wind, notes)
     height_m = np.nan_to_num(spread_over(took.times_s, took.height_m, math.inf))
 
@@ -97,7 +98,8 @@ def read(
             f"{path}: none of its {len(pieces):,} readings lies in the area; wanted another "
             "--origin or --area"
         )
-    noise = clean_air(gas).noise
+    if len(gas) >= ENOUGH:
+        noise = clean_air(gas).noise
     notes.append(f"{note_on_readings(readings, 0.0)}; noise of a reading {noise:.2g}")
     notes.append(
         f"a reading is the mean of the rows of {every:g} s, longer where the vehicle moved less than "
@@ -113,8 +115,8 @@ def read(
 
 def _gas(
     path: Path, took: Samples, used: Columns, background: float | None, ray_m: float | None, notes: list[str]
-) -> tuple[float, float]:
-    """Return the background, as `Samples.gas`, and the length of the sensor's path, m; 0 if it has none."""
+) -> tuple[float, float, float]:
+    """Return the background and a row's noise, as `Samples.gas`, and the length of the path, m; 0: none."""
     unit = gas_unit(used["gas"])
     factor = unit.factor(float(took.temperature_c.mean()), float(took.pressure_hpa.mean()))
     clean = clean_air(took.gas)
@@ -124,7 +126,7 @@ def _gas(
     text = f"gas: {used['gas'].name} in {unit.text()}; 1 {unit.name} is {factor:.4g} {to}"
     if unit.is_by_air:
         told = [name for name in ("temperature", "pressure") if name in used]
-        mean = f"{took.temperature_c.mean():.1f} °C and {took.pressure_hpa.mean():.1f} hPa"
+        mean = f"{took.temperature_c.mean():.4g} °C and {took.pressure_hpa.mean():.6g} hPa"
         text += f" at {mean}" + (" on average" if told else ", which the table does not say")
     notes.append(text)
     notes.append(
@@ -134,7 +136,7 @@ def _gas(
     if not unit.is_along_path:
         if ray_m is not None:
             raise BadInput(f"--ray: not allowed with gas in {unit.name}; wanted only with ppm*m")
-        return subtracted, 0.0
+        return subtracted, clean.noise, 0.0
     if ray_m is None:
         rays = took.path_m[took.path_m > 0.0]
         if not len(rays):
@@ -146,7 +148,7 @@ def _gas(
         notes.append(f"path: {ray_m:.3g} m straight down, the median of {used['path'].name}")
     else:
         notes.append(f"path: {ray_m:g} m straight down, as given")
-    return subtracted, ray_m
+    return subtracted, clean.noise, ray_m
 
 
 # ---- wind and place ----

@@ -51,7 +51,8 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
 def area_of(about: dict[str, Any]) -> float:
     """Return the side of a run's area, m; Table 1's if its description does not tell."""
     with suppress(KeyError, msgspec.ValidationError):
-        return msgspec.convert(about["area_m"], Annotated[float, msgspec.Meta(gt=0.0, le=100_000.0)])
+        area_m: float = msgspec.convert(about["area_m"], Annotated[float, msgspec.Meta(gt=0, le=100_000)])
+        return area_m
     return AREA_M
 
 

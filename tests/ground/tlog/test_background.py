@@ -22,6 +22,14 @@ def test_whole_numbers_have_the_noise_of_rounding() -> None:
     assert (clean.background, clean.noise) == (57.0, pytest.approx(1 / np.sqrt(12)))
 
 
+def test_a_smooth_plume_without_noise_leaves_a_fifth_as_clean_air() -> None:
+    values = 1.95 + np.exp(-np.linspace(0.0, 12.0, 1000))
+    clean = clean_air(values)
+    assert clean.share >= 0.2
+    assert clean.background == pytest.approx(1.95, abs=2e-3)
+    assert clean.noise >= 0.9e-3
+
+
 @pytest.mark.parametrize("values", [[3.0], [0.0], [-2.0, -2.0], [1.0, 5.0]])
 def test_few_values_have_a_noise_above_zero(values: list[float]) -> None:
     clean = clean_air(np.array(values))
