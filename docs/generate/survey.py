@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ground.tlog.units import GasUnit
 from plume.geodesy import to_global
 from plume.scenario import Scenario
 from plume.sensors.sensor import Gaussian
-from plume.units import GasUnit
 from plume.worlds.world import World
 
 TABLE = Path(__file__).parents[1] / "examples" / "lawnmower.csv"

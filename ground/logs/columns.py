@@ -4,9 +4,9 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from ground.tlog import units
 from link.cli import BadInput
 from link.terminal import printable
-from plume import units
 
 # What a column can hold, with its units: the value of one, in the unit that is listed first.
 SCALES: Mapping[str, Mapping[str, tuple[float, float]]] = {

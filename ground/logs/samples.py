@@ -15,11 +15,11 @@ import numpy as np
 
 from ground.logs import columns as names
 from ground.logs.columns import LIMITS, SCALES, VALID, ZONE, Columns, LoggedColumn
-from ground.logs.table import Table, number, read
+from ground.logs.table import TextTable, number, read
 from ground.tlog.clock import Floats
+from ground.tlog.units import STANDARD_C, STANDARD_HPA, GasUnit
 from link.cli import BadInput
 from link.terminal import printable
-from plume.units import STANDARD_C, STANDARD_HPA, GasUnit
 
 INTERVAL_S = 0.2  # rows within this time are averaged first
 MOST_SAMPLES = 4_000_000
@@ -108,7 +108,7 @@ class _Reader:
         self.notes: list[str] = []
         self._time = _time_of(found)
 
-    def read(self, table: Table) -> None:
+    def read(self, table: TextTable) -> None:
         """Read all rows."""
         width = len(table.header)
         for row, cells in table.rows:

@@ -16,7 +16,7 @@ LOOKED_AT = 65_536  # bytes by which the encoding is told
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
 
-class Table(NamedTuple):
+class TextTable(NamedTuple):
     """The first row of a table, and the rows after it."""
 
     header: list[str]
@@ -29,7 +29,7 @@ def is_table(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def read(path: Path, file: BinaryIO) -> Table:
+def read(path: Path, file: BinaryIO) -> TextTable:
     """Begin to read a table; `rows` reads on. Raises BadInput, as `rows` does."""
     encoding = _encoding(file)
     text = io.TextIOWrapper(file, encoding, errors="replace", newline="")
@@ -42,7 +42,7 @@ def read(path: Path, file: BinaryIO) -> Table:
     header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter))]
     told = [encoding] * (encoding not in ("utf-8", "utf-8-sig"))
     told += [f"columns between {delimiter!r}"] * (delimiter != ",")
-    return Table(header, _rows(path, text, delimiter), ", ".join(told))
+    return TextTable(header, _rows(path, text, delimiter), ", ".join(told))
 
 
 def number(text: str) -> float:

@@ -9,17 +9,17 @@ from typing import NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
+from ground.tlog import units
 from ground.tlog.background import clean_air
 from ground.tlog.clock import Floats, VehicleClock
 from ground.tlog.frames import Integers
 from ground.tlog.log import LOCAL, NAMES, Autopilot, FlightLog, counted, few
 from ground.tlog.onboard import NAME_LENGTH
 from ground.tlog.track import NorthEastUp, Reported
+from ground.tlog.units import STANDARD_C, STANDARD_HPA, GasUnit
 from link.bus.mavlink import BadFrame, Message, unpack_reading
 from link.cli import BadInput
-from plume import units
 from plume.elementary import float32
-from plume.units import STANDARD_C, STANDARD_HPA, GasUnit
 
 Pair = tuple[float, float]
 # Maps the vehicle's time in ms to the wind, (x east, y north) m/s, pointing to where it comes from; None if

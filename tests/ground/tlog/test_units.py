@@ -2,8 +2,8 @@
 
 import pytest
 
+from ground.tlog.units import UNITS, parse
 from plume.sensors.instruments import METHANE_PPM
-from plume.units import UNITS, parse
 
 
 def test_a_ppm_of_methane_is_what_the_sensors_take_it_for() -> None:
