@@ -22,6 +22,7 @@ from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
 from plume.sensors import names as sensor
 from sitl.launch.processes import MissionFailed
+from sitl.launch.recording import RecordFiles, record_file
 
 
 def _pair(names: str, text: str) -> tuple[float, float]:
@@ -39,7 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log",
         metavar="LOG",
         type=Path,
-        help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog, .bin or .ulg",
+        help="an .mcap that a mission or `record` wrote, any autopilot's .tlog, .bin or .ulg, or a table of "
+        "positions and gas (.csv)",
     )
     parser.add_argument(
         "-e",
@@ -109,41 +111,69 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--json", action="store_true", help="print the result as one JSON object on the last line of stdout"
     )
     parser.add_argument(
+        "--record",
+        type=record_file,
+        metavar="FILE.mcap",
+        help="tlog, csv: record the replay, with the beliefs, as a mission's record",
+    )
+    cli.add_output_guard(parser)
+    parser.add_argument(
         "--sysid", type=cli.whole(1, 255), metavar="N", help="tlog: which vehicle (default: the only one)"
     )
     parser.add_argument(
         "--gas",
         metavar="NAME",
-        help="tlog: message of the gas readings, NAME or MESSAGE.FIELD (default: gas)",
+        help="tlog: message of the gas readings, NAME or MESSAGE.FIELD, of another unit NAME@ppm "
+        "(default: gas)",
     )
     parser.add_argument(
         "--wind",
         type=partial(_pair, "SPEED,FROM"),
         metavar="SPEED,FROM",
-        help="tlog: wind to use instead of the log's, m/s and the direction it comes from in degrees",
+        help="tlog, csv: wind to use instead of the log's, m/s and the direction it comes from in degrees",
     )
     parser.add_argument(
         "--every",
         type=positive,
         metavar="S",
-        help="tlog: time between two readings (default: 1 s; all readings that a record holds)",
+        help="tlog, csv: time between two readings (default: 1 s; all readings that a record holds; "
+        "longer for a long table)",
     )
     parser.add_argument(
         "--origin",
         type=partial(_pair, "NORTH,EAST"),
         metavar="NORTH,EAST",
-        help="tlog: south-western corner of the search area, m in the log's local frame (default: home, if "
-        "the readings lie "
-        "in the area then, else around the flight)",
+        help="tlog, csv: south-western corner of the search area, m in the log's local frame, of a "
+        "table from its first position (default: home, if the readings lie in the area then, else around the "
+        "flight)",
     )
     parser.add_argument(
         "--area",
         type=positive,
         metavar="M",
-        help="tlog: side of the search area (default: around the flight)",
+        help="tlog, csv: side of the search area (default: around the flight)",
     )
     parser.add_argument(
         "--plume", metavar="MISSION", help="tlog: simulate the gas along the path with this mission's plume"
+    )
+    parser.add_argument(
+        "--columns",
+        metavar="PRESET,NAME=COLUMN@UNIT",
+        help="csv: what its columns are: skyhub, gasflux, or "
+        "time=…,lat=…,lon=…,gas=COLUMN@UNIT,wind=…,from=… (default: the preset that its first row is like)",
+    )
+    parser.add_argument(
+        "--background",
+        type=cli.number(-math.inf, math.inf),
+        metavar="G",
+        help="tlog, csv: gas in clean air, subtracted, in the log's unit (default: that of the flight's "
+        "clean air)",
+    )
+    parser.add_argument(
+        "--ray",
+        type=cli.number(0.1, 1000),
+        metavar="M",
+        help="csv: of gas in ppm*m, how long the sensor's path straight down is (default: the table's)",
     )
     cli.add_filter_arguments(parser)
     for flag, name, metavar, what in (
@@ -173,12 +203,17 @@ def run(args: argparse.Namespace) -> int:
     Returns the exit status: 1 if something differs, or if pieces of the log are missing.
     """
     source, rules = find(args)
+    files = RecordFiles(args.record) if args.record else None
+    if files:
+        files.prepare(args.force)
     for note in source.notes:
         tell(f"replay: {note}")
     try:
         while True:
             began = time.monotonic()
-            result = replay(source, rules, args.speedup, args.connect, args.secure)
+            result = replay(
+                source, rules, args.speedup, args.connect, args.secure, files.path if files else None
+            )
             tell(
                 _text(result, source, rules, time.monotonic() - began),
                 sys.stderr if args.json else sys.stdout,
@@ -187,13 +222,27 @@ def run(args: argparse.Namespace) -> int:
                 break
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
+        _give_up(files)
         raise
     except MissionFailed as failure:
         print(f"error: {failure}", file=sys.stderr)
+        _give_up(files)
         return failure.status
+    if files:
+        files.made = True
+        if trouble := files.take_place():
+            tell(f"warning: {trouble}", sys.stderr)
+        files.tell(sys.stderr if args.json else sys.stdout)
     if args.json:
         print(_json(result, source, rules))
     return cli.FAILED if result.difference or source.damaged else 0
+
+
+def _give_up(files: RecordFiles | None) -> None:
+    """Say where the record of a replay is that did not come to its end."""
+    if files:
+        files.made = True
+        files.give_up(refused=False)
 
 
 def _text(result: Player, source: Source, rules: Rules | None, took_s: float) -> str:

@@ -10,6 +10,8 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from ground.replay import verify
 from ground.replay.source import SERVICES, VEHICLE_KEYS, Source, reading_time
 from ground.replay.verify import Answer, Difference, Rules
@@ -19,7 +21,7 @@ from link.bus.keys import BELIEF, HEALTH, READING, RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.record.record import Entry
-from sitl.launch.processes import Ended, LogLine, Processes, raise_for, secure_words
+from sitl.launch.processes import RECORDER, Ended, LogLine, Processes, raise_for, secure_words
 from sitl.launch.progress import Progress, pace
 
 ANSWER_TIMEOUT_S = 10.0  # longest wait for an answer, s of real time, or three times the longest recorded one
@@ -28,18 +30,23 @@ SETTLE_S = 0.3  # wait for unexpected answers at the end, s of real time, or twi
 
 
 def replay(
-    source: Source, rules: Rules | None, speedup: float, connect: str | None, secure: Path | None = None
+    source: Source,
+    rules: Rules | None,
+    speedup: float,
+    connect: str | None,
+    secure: Path | None = None,
+    record: Path | None = None,
 ) -> "Player":
     """Replay once; returns the player, which has the result. Raises MissionFailed.
 
-    Every process started for it has ended when this returns or raises.
+    record: the file to record to. Every process started for it has ended when this returns or raises.
     """
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
         readings = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
         started = ", ".join(["router", *source.parts]) if connect is None else "replay"
         progress = stack.enter_context(Progress(max(len(readings) - 1, 0), started))
-        endpoint = connect or _start(stack.enter_context(Processes(inbox)), source, secure)
+        endpoint = connect or _start(stack.enter_context(Processes(inbox)), source, secure, record)
         bus = stack.enter_context(Bus("uav", endpoint, source.namespace, inbox, secure=secure))
         bus.subscribe(BELIEF, STOP, WAYPOINT, HEALTH)
         bus.watch_services()
@@ -50,13 +57,15 @@ def replay(
         return player
 
 
-def _start(processes: Processes, source: Source, secure: Path | None) -> str:
-    """Start a router and the services; returns the router's endpoint."""
+def _start(processes: Processes, source: Source, secure: Path | None, record: Path | None) -> str:
+    """Start a router, the services and the recorder; returns the router's endpoint."""
     endpoint = processes.start_router("tcp/127.0.0.1:0", secure)
+    joining = "--connect", endpoint, "--namespace", source.namespace, *secure_words(secure)
+    if record:
+        about = msgspec.json.encode(source.about).decode()
+        processes.answer(processes.start(RECORDER, "sitl", "record", str(record), *joining, "--about", about))
     for part, words in source.parts.items():
-        processes.start(
-            part, part, "--connect", endpoint, "--namespace", source.namespace, *secure_words(secure), *words
-        )
+        processes.start(part, part, *joining, *words)
     return endpoint
 
 

@@ -9,9 +9,12 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 
+from ground.logs import survey
+from ground.logs.table import is_table
 from ground.replay import settings, verify
 from ground.replay.verify import Answer, Rules
 from ground.tlog import flight
+from ground.tlog.flight import LoggedFlight
 from link.bus.keys import HEALTH, MAVLINK_OUT, READING
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.cli import BadInput
@@ -29,8 +32,10 @@ VEHICLE_KEYS = {
 }
 # The service that sends each kind of answer.
 SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
-# Flags for reading an autopilot's log, and flags for its estimator.
-READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume")
+# Flags for reading a log of others, those of an autopilot's only, those of a table only, and flags for its
+# estimator.
+READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume", "columns", "background", "ray")
+OF_AUTOPILOTS, OF_TABLES = ("sysid", "gas", "plume"), ("columns", "ray")
 FILTER_FLAGS = (
     "particles",
     "assume",
@@ -45,6 +50,10 @@ FILTER_FLAGS = (
     "sensor",
     "seed",
 )
+# Of a sensor of which only the noise in clean air is known: readings are wrong by this share of the gas.
+SENSOR_NOISE = 0.3
+# Of a leak of which nothing is told: 1 kg/h, two thirds within a factor of 7.4.
+UNTOLD_RATE = "q=lognormal:0.28,2"
 
 FIRST_VEHICLE = "uav/1"  # the namespace of the first vehicle
 OVERTAKE_NS = 500_000_000  # largest time by which messages overtake each other on their way into a log, ns
@@ -73,6 +82,17 @@ class Source(NamedTuple):
     world: str = AS_MODELLED  # how the truth differs from what the estimator was told; as modelled if unknown
     area_m: float = AREA_M  # side of the search area
     notes: tuple[str, ...] = ()  # remarks on the log, one line each
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What the record of a replay says of itself."""
+        return {
+            "namespace": self.namespace,
+            "parts": dict(self.parts),
+            "area_m": self.area_m,
+            "mission": {"about": f"replay of {self.path.name}"},
+            "log": {"file": self.path.name, "notes": self.notes},
+        }
 
 
 class _Release(msgspec.Struct, frozen=True):
@@ -170,6 +190,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         origin=chosen.get("origin"),
         area_m=chosen.get("area"),
         plume=world,
+        background=chosen.get("background"),
     )
     known: dict[str, Any] = {}
     if world:
@@ -180,7 +201,8 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
             "lifetime": told.tau,
             "sensor": sensor.text(world.sensor),
         }
-    estimator = settings.as_words({**known, **filtering, "sysid": flown.system, "area": flown.area_m})
+    notes = list(flown.notes)
+    estimator = _estimator(flown, {**known, **filtering, **_sensing(flown, filtering, notes)})
     return Source(
         path,
         flown.entries,
@@ -191,8 +213,57 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         truth=world.truth.source if world else None,
         world=world.name if world else AS_MODELLED,
         area_m=flown.area_m,
-        notes=tuple(flown.notes),
+        notes=tuple(notes),
     )
+
+
+def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
+    """Read a table of positions, gas and wind as the flags `chosen` say; raises BadInput.
+
+    It is for an estimator with the flags `filtering`.
+    """
+    flown = survey.read(
+        path,
+        columns=chosen.get("columns"),
+        wind=chosen.get("wind"),
+        every_s=chosen.get("every"),
+        background=chosen.get("background"),
+        ray_m=chosen.get("ray"),
+        origin=chosen.get("origin"),
+        area_m=chosen.get("area"),
+    )
+    notes = list(flown.notes)
+    estimator = _estimator(flown, {**filtering, **_sensing(flown, filtering, notes)})
+    return Source(
+        path,
+        flown.entries,
+        {},
+        {"estimator": estimator},
+        f"uav/{flown.system}",
+        False,
+        area_m=flown.area_m,
+        notes=tuple(notes),
+    )
+
+
+def _sensing(flown: LoggedFlight, filtering: Mapping[str, Any], notes: list[str]) -> dict[str, Any]:
+    """Return flags for an estimator of gas in a unit that was named, unless `filtering` has them."""
+    chosen: dict[str, Any] = {}
+    if flown.sensed and "sensor" not in filtering:
+        noise, ray_m = flown.sensed
+        kind = f"tdlas:{SENSOR_NOISE},{noise:.4g},ray={ray_m:g},dwell=0"
+        chosen["sensor"] = kind if ray_m else f"gaussian:{SENSOR_NOISE},{noise:.4g}"
+        notes.append(f"sensor: {chosen['sensor']}, with the noise of this flight; --sensor says another")
+    given = filtering.get("prior", [])
+    if flown.sensed and "rate" not in filtering and not any(prior.startswith("q=") for prior in given):
+        chosen["prior"] = [UNTOLD_RATE, *given]
+        notes.append("rate: unknown, 1 kg/h within a factor of 7.4; --rate Q says it to a factor of 2")
+    return chosen
+
+
+def _estimator(flown: LoggedFlight, chosen: Mapping[str, Any]) -> list[str]:
+    """Return the flags of an estimator, with the assumption: a record without one is an older one."""
+    return settings.as_words({"assume": "field", **chosen, "sysid": flown.system, "area": flown.area_m})
 
 
 def find(args: argparse.Namespace) -> tuple[Source, Rules | None]:
@@ -202,7 +273,11 @@ def find(args: argparse.Namespace) -> tuple[Source, Rules | None]:
     try:
         recorded = is_record(args.log)
         _refuse(args, recorded, chosen, filtering)
-        source = recording(args.log, args.policy) if recorded else autopilot_log(args.log, chosen, filtering)
+        if recorded:
+            source = recording(args.log, args.policy)
+        else:
+            read = table if is_table(args.log) or "columns" in chosen else autopilot_log
+            source = read(args.log, chosen, filtering)
     except RecordError as error:
         raise BadInput(str(error)) from None
     if not source.entries:
@@ -231,10 +306,18 @@ def _refuse(
 ) -> None:
     """Raise BadInput on a flag that would have no effect here."""
     flags = {name: f"--{name.replace('_', '-')}" for name in (*chosen, *filtering)}
+    tabular = is_table(args.log) or "columns" in chosen
     rules = [
         *(
             (recorded, f"{flag}: not allowed with {args.log}: a recording has its own settings")
             for flag in flags.values()
+        ),
+        *(
+            (
+                not recorded and name in (OF_AUTOPILOTS if tabular else OF_TABLES),
+                f"{flag}: not allowed with {args.log}: it is {'a table' if tabular else 'no table (.csv)'}",
+            )
+            for name, flag in flags.items()
         ),
         *(
             (
@@ -252,6 +335,11 @@ def _refuse(
         (
             args.loop and args.connect,
             "--loop: not allowed with --connect: an estimator accepts the same readings only once",
+        ),
+        (
+            args.record and (recorded or args.connect or args.loop),
+            f"--record: only allowed with one replay of a log of others, on a router of its own, not with "
+            f"{'--connect' if args.connect else '--loop' if args.loop else args.log}",
         ),
         (
             args.verify and not recorded,

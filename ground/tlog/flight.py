@@ -11,7 +11,17 @@ import numpy as np
 from ground.tlog import track
 from ground.tlog.clock import Floats, VehicleClock, vehicle_clock
 from ground.tlog.log import AUTOPILOT, Autopilot, FlightLog, choose, open_log
-from ground.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wind, recorded, steady
+from ground.tlog.samples import (
+    Air,
+    LoggedGas,
+    Pair,
+    parse_gas,
+    read_gas,
+    read_wind,
+    recorded,
+    steady,
+    without_background,
+)
 from ground.tlog.track import FlownPath, NorthEastUp
 from link.bus.keys import MAVLINK_OUT, READING
 from link.bus.mavlink import GAS_NAME, WRAP_MS, Codec, Reading, pack_reading
@@ -37,6 +47,13 @@ class Origin(NamedTuple):
     lon_deg: float | None
 
 
+class Sensed(NamedTuple):
+    """What a flight says of its sensor."""
+
+    noise: float  # in clean air, in the unit of the readings
+    ray_m: float = 0.0  # length of the path that it looks along, straight down; 0: it meets the gas itself
+
+
 class LoggedFlight(NamedTuple):
     """A flight as a mission."""
 
@@ -45,6 +62,7 @@ class LoggedFlight(NamedTuple):
     area_m: float  # side of the search area
     origin: Origin
     notes: list[str]  # what was read, what was left out and why, in lines for people
+    sensed: Sensed | None = None  # None: the readings are of the sensor that the estimator is told
 
 
 def read(
@@ -57,6 +75,7 @@ def read(
     origin: Pair | None = None,
     area_m: float | None = None,
     plume: World | None = None,
+    background: float | None = None,
 ) -> LoggedFlight:
     """Read a flight; raises BadInput if it yields no readings or an argument is not allowed.
 
@@ -65,11 +84,14 @@ def read(
     wind. every_s: at most one reading per this time; default: `EVERY_S`, but all readings of a search's own
     record. plume: a simulated world to take gas and wind from, instead of the log. origin: (north, east) in m
     of the search area's south-west corner in the log's local frame; default: home if all readings lie in the
-    area then, else around the path. area_m: the side of the area.
+    area then, else around the path. area_m: the side of the area. background: of gas whose unit `gas` names,
+    in that unit; default: that of clean air in the flight.
     """
     _check(wind, every_s, origin, area_m, plume)
     log = open_log(path, gas)
     source = parse_gas(gas, log.is_onboard)
+    if background is not None and source.unit is None:
+        raise BadInput("--background: only allowed where --gas names a unit: --gas NAME@UNIT")
     autopilot = choose(log, system)
     clock = vehicle_clock(log, autopilot)
     own, foreign = recorded(log, autopilot, clock)
@@ -77,6 +99,7 @@ def read(
     flying = track.flying(log, autopilot, clock)
     home = track.home(log, autopilot, clock, flying, flown)
     left_out: Counter[str] = Counter()
+    sensed: Sensed | None = None
     every, air = every_s or EVERY_S, steady((0.0, 0.0))
     if own and not plume and wind is None and gas == GAS_NAME:
         home = home or (0.0, 0.0)
@@ -87,10 +110,13 @@ def read(
         log.notes.append("gas and wind: simulated along the path")
     else:
         samples = read_gas(log, autopilot, clock, source, left_out)
+        if source.unit:
+            samples, noise = without_background(samples, source, background, log.notes)
+            sensed = Sensed(noise)
         air = read_wind(log, autopilot, clock, wind)
     taken = _take(samples, every, flying, flown, air, left_out)
     fitted = (area_m or AREA_M, None) if plume else (area_m, home)
-    side_m, corner = _area([place for _, place, _ in taken], origin, *fitted)
+    side_m, corner = fitted_area([place for _, place, _ in taken], origin, *fitted)
     readings = _readings(taken, corner, side_m, plume, left_out)
     out = ", ".join(f"{count:,} {what}" for what, count in left_out.items())
     if not readings:
@@ -98,14 +124,16 @@ def read(
             f"{path}: none of the {len(samples):,} samples can be a reading; left out: {out or 'none'}"
         )
     where = Origin(*corner, *(flown.anchor.globe(*corner) if flown.anchor else (None, None)))
-    log.notes.append(_note_on_readings([reading for reading, _ in readings], every))
+    log.notes.append(note_on_readings([reading for reading, _ in readings], every))
     log.notes += [f"left out: {out}"] * bool(out)
     globe = "" if where.lat_deg is None else f" ({where.lat_deg:.7f}, {where.lon_deg:.7f})"
     log.notes.append(
         f"area: side {side_m:g} m, south-west corner {where.north_m:g} m north and {where.east_m:g} m east "
         f"of the local origin{globe}"
     )
-    return LoggedFlight(_entries(log, autopilot, clock, readings), autopilot.system, side_m, where, log.notes)
+    return LoggedFlight(
+        _entries(log, autopilot, clock, readings), autopilot.system, side_m, where, log.notes, sensed
+    )
 
 
 def _check(
@@ -187,10 +215,10 @@ def _take(
     return taken
 
 
-def _area(
+def fitted_area(
     places: Sequence[NorthEastUp], origin: Pair | None, area_m: float | None, home: Pair | None
 ) -> tuple[float, Pair]:
-    """Return the area's side and (north, east) corner in m.
+    """Return the area's side and (north, east) corner in m, from places (N, 3) m.
 
     As given, else at home if all of it lies north and east of that, as a search's does; else centred on
     the path. The side is the default, or a larger one that holds the path.
@@ -234,7 +262,8 @@ def _readings(
     return readings
 
 
-def _note_on_readings(readings: Sequence[Reading], every_s: float) -> str:
+def note_on_readings(readings: Sequence[Reading], every_s: float) -> str:
+    """Say how many readings there are, and between which values."""
     gas = [reading.gas for reading in readings]
     x, y = np.mean([reading.wind for reading in readings], axis=0).tolist()
     most = f", at most one per {every_s:g} s" * (every_s > LEAST_EVERY_S)

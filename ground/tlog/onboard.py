@@ -113,7 +113,7 @@ def telemetry(data: bytes, gas: str = "") -> tuple[bytes, str]:
     gas: MESSAGE.FIELD of gas values that are no named values; they become some, by the first letters of this
     name.
     """
-    said = _Said(gas.partition("*")[0])
+    said = _Said(re.split(r"[*@]", gas)[0])
     told = _read_dataflash(data, said) if data.startswith(DATAFLASH) else _read_ulog(data, said)
     said.frames.sort(key=lambda each: each[0])
     return b"".join((said.utc_us + us).to_bytes(8) + frame for us, frame in said.frames), told

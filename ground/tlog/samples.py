@@ -9,11 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
+from ground.tlog import units
+from ground.tlog.background import clean_air
 from ground.tlog.clock import Floats, VehicleClock
 from ground.tlog.frames import Integers
 from ground.tlog.log import LOCAL, NAMES, Autopilot, FlightLog, counted, few
 from ground.tlog.onboard import NAME_LENGTH
 from ground.tlog.track import NorthEastUp, Reported
+from ground.tlog.units import STANDARD_C, STANDARD_HPA, GasUnit
 from link.bus.mavlink import BadFrame, Message, unpack_reading
 from link.cli import BadInput
 from plume.elementary import float32
@@ -41,13 +44,24 @@ class GasSource(NamedTuple):
     field: str
     name: str | None  # of the NAMED_VALUE_FLOAT or NAMED_VALUE_INT; None for any other message
     factor: float
+    unit: GasUnit | None = None  # None: that of the estimator's sensor
 
 
 def parse_gas(text: str, is_onboard: bool = False) -> GasSource:
-    """Parse NAME (of a NAMED_VALUE_FLOAT or NAMED_VALUE_INT) or MESSAGE.FIELD, either followed by *FACTOR.
+    """Parse NAME (of a NAMED_VALUE_FLOAT or NAMED_VALUE_INT) or MESSAGE.FIELD, either with *FACTOR or @UNIT.
 
-    Of an on-board log, the message has become a named value already. Raises BadInput.
+    A unit is converted in the standard atmosphere. Of an on-board log, the message has become a named value
+    already. Raises BadInput.
     """
+    what, at, said = text.partition("@")
+    if at:
+        try:
+            unit = units.parse(said)
+        except ValueError as error:
+            raise BadInput(f"{text!r} is not allowed: {error}") from None
+        if unit.is_along_path:
+            raise BadInput(f"{text!r} is not allowed: {unit.name} is of a path; wanted a table (.csv) for it")
+        return parse_gas(what, is_onboard)._replace(text=text, factor=unit.factor(), unit=unit)
     what, star, number = text.partition("*")
     try:
         factor = float(number) if star else 1.0
@@ -68,7 +82,7 @@ def parse_gas(text: str, is_onboard: bool = False) -> GasSource:
     if not 1 <= len(what) <= NAME_LENGTH:
         raise BadInput(
             f"{text!r} is not allowed; wanted the NAME of a NAMED_VALUE_FLOAT, 1 to {NAME_LENGTH} "
-            "characters, or MESSAGE.FIELD such as SCALED_PRESSURE3.temperature, either followed by *FACTOR"
+            "characters, or MESSAGE.FIELD such as SCALED_PRESSURE3.temperature, either with *FACTOR or @UNIT"
         )
     return GasSource(text, NAMED, "value", what, factor)
 
@@ -187,6 +201,26 @@ def _no_gas(log: FlightLog, autopilot: Autopilot, source: GasSource) -> str:
         f"{few(own) or 'none'}; choose one with --gas, or simulate a plume along its path with "
         "--plume MISSION.yaml"
     )
+
+
+def without_background(
+    samples: list[LoggedGas], source: GasSource, background: float | None, notes: list[str]
+) -> tuple[list[LoggedGas], float]:
+    """Return samples whose unit is named without the background, and the noise in clean air, g/m³.
+
+    background: in that unit; None: that of clean air.
+    """
+    assert source.unit
+    clean = clean_air(np.array([sample.gas for sample in samples]))
+    subtracted = clean.background if background is None else background * source.factor
+    how = (
+        "as given" if background is not None else f"that of clean air, {100 * clean.share:.0f}% of the values"
+    )
+    notes.append(
+        f"gas: {source.unit.text()}; 1 {source.unit.name} is {source.factor:.4g} g/m³ at {STANDARD_C:g} °C "
+        f"and {STANDARD_HPA:g} hPa; {subtracted / source.factor:.4g} {source.unit.name} is subtracted, {how}"
+    )
+    return [sample._replace(gas=float32(sample.gas - subtracted)) for sample in samples], clean.noise
 
 
 def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: Pair | None) -> Air:

@@ -3,11 +3,11 @@
 import math
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 
-from plume.scenario import Scenario
+from plume.scenario import AREA_M, Scenario
 from scene.scene import Backdrop, Release
 
 
@@ -43,8 +43,17 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
         vehicle or str(about.get("namespace", "vehicle")),
         title=f"{policy}, seed {about.get('seed')}" if policy is not None else "",
         release=release,
+        area_m=area_of(about),
     )
     return backdrop, budget if isinstance(budget, int) else None
+
+
+def area_of(about: dict[str, Any]) -> float:
+    """Return the side of a run's area, m; Table 1's if its description does not tell."""
+    with suppress(KeyError, msgspec.ValidationError):
+        area_m: float = msgspec.convert(about["area_m"], Annotated[float, msgspec.Meta(gt=0, le=100_000)])
+        return area_m
+    return AREA_M
 
 
 def turns_of(about: dict[str, Any]) -> list[WindTurn] | None:

@@ -18,7 +18,7 @@ from plume.scenario import BUDGET_STEPS
 from sitl.launch.launcher import Flown, fly
 from sitl.launch.mission import Launch, RealVehicle, check_connect, check_payload
 from sitl.launch.processes import MissionFailed
-from sitl.launch.recording import RecordFiles, run_name, write_summary
+from sitl.launch.recording import RecordFiles, record_file, run_name, write_summary
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
 from sitl.script.options import FIELDS, blamed, script_for_vehicle, script_of
@@ -84,7 +84,7 @@ def add_arguments(
     )
     parser.add_argument(
         "--record",
-        type=_record,
+        type=record_file,
         metavar="FILE.mcap",
         help="the record's file; a .tlog is written beside it (default: in runs/)",
     )
@@ -136,13 +136,6 @@ def run(args: argparse.Namespace) -> int:
     _tell_outcome(args, flown, summary, files)
     page.linger()
     return 0 if all(flown.expectations.values()) else cli.FAILED
-
-
-def _record(text: str) -> Path:
-    path = Path(text)
-    if path.suffix != ".mcap":
-        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a file that ends in .mcap")
-    return path
 
 
 def _checked_script(args: argparse.Namespace) -> Script:

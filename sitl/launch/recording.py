@@ -1,5 +1,6 @@
 """The files of a mission: its record, which may replace an older one, and the summary of its outcome."""
 
+import argparse
 import json
 import os
 import sys
@@ -63,6 +64,14 @@ class RecordFiles:
             for path in both(self.path):
                 path.unlink(missing_ok=True)
         self.tell(sys.stderr)
+
+
+def record_file(text: str) -> Path:
+    """Argument type: the file of a record."""
+    path = Path(text)
+    if path.suffix != ".mcap":
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a file that ends in .mcap")
+    return path
 
 
 def both(path: Path) -> tuple[Path, Path]:

@@ -31,6 +31,7 @@ DECODERS = {
     "tlog": Decoder(files.tlog_seeds, files.tlog),
     "dataflash": Decoder(files.dataflash_seeds, files.onboard),
     "ulog": Decoder(files.ulog_seeds, files.onboard),
+    "table": Decoder(files.table_seeds, files.table),
     "script": Decoder(files.script_seeds, files.script),
     "bundle": Decoder(files.bundle_seeds, files.zipped),
     "bundle-page": Decoder(files.page_of_bundle_seeds, files.page_of_bundle),

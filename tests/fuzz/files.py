@@ -24,9 +24,11 @@ from agent.observation import SCHEMAS
 from agent.planning.moves import Headings
 from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow
+from ground.logs.survey import read as read_survey
 from ground.tlog.flight import read as read_flight
 from ground.tlog.frames import STAMP
 from ground.view.wire import Sent, packed
+from link.bus.mavlink import unpack_reading
 from link.cli import BadInput
 from link.record.reader import RecordError
 from link.record.reader import read as read_record
@@ -35,6 +37,9 @@ from scene.scene import Scene
 from sitl.script.script import load, shipped
 from tests.fuzz.mutants import as_sent
 from tests.fuzz.services import BETWEEN, recorded
+from tests.ground.logs.flights import Plume
+from tests.ground.logs.flights import gasflux as write_gasflux
+from tests.ground.logs.flights import skyhub as write_skyhub
 from tests.ground.tlog.onboard_logs import Dataflash, ULog, flown, flown_by_px4
 
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
@@ -211,6 +216,36 @@ def onboard(data: bytes) -> None:
         _is_one_line(error)
     else:
         assert all(len(note.splitlines()) == 1 for note in flight.notes)
+
+
+# ---- tables of flights of others ----
+
+
+@cache
+def table_seeds() -> list[bytes]:
+    """Return short tables: both presets, one with semicolons and decimal commas, one in UTF-16."""
+    flights = [
+        "\n".join(write(FOLDER / "seed.csv", Plume()).read_text().splitlines()[:12])
+        for write in (write_gasflux, write_skyhub)
+    ]
+    commas = flights[0].replace(",", ";").replace(".", ",")
+    return [text.encode() for text in (*flights, commas)] + [flights[0].encode("utf-16")]
+
+
+def table(data: bytes) -> None:
+    """A table is read as a flight or refused."""
+    try:
+        flight = read_survey(written("fuzzed.csv", data))
+    except BadInput as error:
+        _is_one_line(error)
+    else:
+        assert flight.entries
+        assert all(len(note.splitlines()) == 1 for note in flight.notes)
+        readings = [unpack_reading(entry.payload) for entry in flight.entries if entry.key == "reading"]
+        assert readings
+        times = [reading.time_boot_ms for reading in readings]
+        assert times == sorted(set(times))
+        assert all(0 <= value <= flight.area_m for reading in readings for value in reading.position)
 
 
 # ---- mission scripts ----

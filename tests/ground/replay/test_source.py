@@ -24,6 +24,7 @@ FLAGS = {
     "to_s": 9e9,
     "namespace": None,
     "policy": None,
+    "record": None,
     "given": {},
 }
 

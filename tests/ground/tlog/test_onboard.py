@@ -2,6 +2,7 @@
 by hand, damage costs nothing but itself, and what is no such log is one line.
 """
 
+import re
 from pathlib import Path
 
 import pytest
@@ -137,3 +138,23 @@ def test_pymavlink_and_pyulog_read_the_same_values_from_these_logs(tmp_path: Pat
     assert [(each.time_boot_ms, each.gas) for each in readings(ours)] == list(
         zip(times_ms[1:], values[1:], strict=True)
     )
+
+
+# ---- units ----
+
+
+def test_gas_of_a_named_unit_is_converted_and_its_background_subtracted(tmp_path: Path) -> None:
+    for log, name in ((flown(), "gas"), (flown_by_px4(), "CH4")):
+        said = [reading.gas for reading in readings(read(log.write(tmp_path), gas=name))]
+        flight = read(log.write(tmp_path), gas=f"{name}@ppm", background=2.0)
+        ppm = 101_325 * 16.043 / (8.314463 * 288.15) * 1e-6
+        assert [reading.gas for reading in readings(flight)] == pytest.approx(
+            [(gas - 2.0) * ppm for gas in said], abs=1e-9
+        )
+        assert flight.sensed is not None
+        assert any("; 2 ppm is subtracted, as given" in note for note in flight.notes)
+    for gas, words in (("gas@lel", "'lel' is not a unit"), ("gas@ppm*m", "is of a path; wanted a table")):
+        with pytest.raises(BadInput, match=re.escape(words)):
+            read(flown().write(tmp_path), gas=gas)
+    with pytest.raises(BadInput, match="--background: only allowed where --gas names a unit"):
+        read(flown().write(tmp_path), background=2.0)

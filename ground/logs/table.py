@@ -1,0 +1,97 @@
+"""A table as text (CSV), read row by row however large it is: its encoding, its delimiter, its first row."""
+
+import codecs
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from link.cli import BadInput
+
+SUFFIXES = (".csv", ".tsv", ".txt")
+DELIMITERS = ",;\t|"
+LONGEST = 65_536  # characters of a row
+LOOKED_AT = 65_536  # bytes by which the encoding is told
+MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+
+
+class TextTable(NamedTuple):
+    """The first row of a table, and the rows after it."""
+
+    header: list[str]
+    rows: Iterator[tuple[int, list[str]]]  # each with its number in the file; the first row is 1
+    told: str  # encoding and delimiter, where they are not the usual ones
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is a table by its name."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def read(path: Path, file: BinaryIO) -> TextTable:
+    """Begin to read a table; `rows` reads on. Raises BadInput, as `rows` does."""
+    encoding = _encoding(file)
+    text = io.TextIOWrapper(file, encoding, errors="replace", newline="")
+    first = next(filter(str.strip, _lines(path, text)), "")
+    if not first:
+        raise BadInput(f"{path} is empty; wanted a first row with the names of columns, and rows of values")
+    if "\0" in first:
+        raise BadInput(f"{path}, row 1: it is not text; wanted a table of comma-separated values (CSV)")
+    delimiter = max(DELIMITERS, key=first.count)
+    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter))]
+    told = [encoding] * (encoding not in ("utf-8", "utf-8-sig"))
+    told += [f"columns between {delimiter!r}"] * (delimiter != ",")
+    return TextTable(header, _rows(path, text, delimiter), ", ".join(told))
+
+
+def number(text: str) -> float:
+    """Return the number in a cell, which may have a decimal comma. Raises ValueError."""
+    try:
+        return float(text)
+    except ValueError:
+        if text.count(",") == 1 and "." not in text and "_" not in text:
+            return float(text.replace(",", "."))
+        raise
+
+
+def _encoding(file: BinaryIO) -> str:
+    """Return the encoding of a file by its first bytes: its mark, else UTF-8 where they are that."""
+    head = file.read(LOOKED_AT)
+    file.seek(0)
+    for mark, encoding in MARKS.items():
+        if head.startswith(mark):
+            return encoding
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8"
+
+
+def _lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
+    number = 0
+    while line := text.readline(LONGEST):
+        number += 1
+        if len(line) == LONGEST and not line.endswith("\n"):
+            raise BadInput(
+                f"{path}, row {number}: it has more than {LONGEST:,} characters; wanted a table of "
+                "comma-separated values (CSV)"
+            )
+        yield line
+
+
+def _rows(path: Path, text: io.TextIOWrapper, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    reader = csv.reader(_lines(path, text), delimiter=delimiter)
+    while True:
+        try:
+            row = next(reader, None)
+        except csv.Error as error:
+            raise BadInput(
+                f"{path}, row {reader.line_num + 1}: it cannot be read ({error}); wanted a table of "
+                "comma-separated values (CSV)"
+            ) from None
+        if row is None:
+            return
+        if row:
+            yield reader.line_num + 1, row
