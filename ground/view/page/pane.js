@@ -63,6 +63,7 @@ export class Pane {
     this.root.classList.toggle("gone", Boolean(gone));
     this.find(".title").classList.toggle("hidden", alone && !gone);
     this.root.setAttribute("aria-label", `Vehicle ${this.name}`);
+    this.find(".operator").setAttribute("aria-label", `Operator of ${this.name}`);
     this.gone = gone;
   }
 
