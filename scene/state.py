@@ -16,6 +16,7 @@ LOW, EMPTY = 0.25, 0.12  # shares of charge
 # 95% of a round Gaussian belief lies within this many times its spread, the root of its covariance's trace.
 RADIUS_95 = math.sqrt(-math.log(0.05))
 SEARCHING = ("searching", "taking off")
+NEEDED, GONE = ("estimator", "agent", "payload"), ("missing", "stale")  # parts that a search waits for
 # What a flight mode is to a search, where PX4's or ArduCopter's name differs.
 MEANINGS = {
     "GUIDED": "OFFBOARD", "BRAKE": "HOLD", "RTL": "RETURN", "SMART_RTL": "RETURN", "AUTO_RTL": "RETURN",
@@ -79,17 +80,23 @@ def _said(scene: Scene) -> tuple[str, str, str]:
         return "holding", WARN, "It stays here: the search is over"
     if state == "landed":
         return "landed", CALM, "Landed: the search has not found the source"
-    if missing := [each for each in scene.services if each.name != "uav" and each.verdict in ("missing", "stale")]:
+    if missing := [each for each in scene.services if each.name in NEEDED and each.verdict in GONE]:
         names = " and ".join(each.name for each in missing)
         return "stuck", BAD, f"Waiting: the {names} {'is' if len(missing) == 1 else 'are'} not there"
     if state == "standby" or not scene.measurements:
         on_way = state in SEARCHING and scene.craft is not None
-        return ("searching", CALM, "Taking off: no reading yet") if on_way else (
-            "waiting", CALM, "On the ground: the search has not begun"
+        return (
+            ("searching", CALM, "Taking off: no reading yet")
+            if on_way
+            else ("waiting", CALM, "On the ground: the search has not begun")
         )
     last = scene.measurements[-1]
     if last.p_value < INCOMPATIBLE:
-        return "doubtful", WARN, "Doubtful: the readings do not fit a plume; it will not stop while they do not"
+        return (
+            "doubtful",
+            WARN,
+            "Doubtful: the readings do not fit a plume; while they do not, it cannot stop",
+        )
     near = _near(last)
     return "searching", GOOD, f"Searching: the source is within {near} of the cross (95%){_stops(scene)}"
 
@@ -107,7 +114,8 @@ def _ended(scene: Scene, ending: Ending) -> tuple[str, str, str]:
         case "outside":
             return "outside", WARN, f"Outside: the source is not in the area; most likely at {where}"
         case "not ceased":
-            return "spent", WARN, f"Not found: the moves are spent; the source is within {_near(last)} of the cross (95%)"
+            near = f"the source is within {_near(last)} of the cross (95%)"
+            return "spent", WARN, f"Not found: the moves are spent; {near}"
         case _:
             return "found", CALM, f"Found: {where}"
 
@@ -122,7 +130,8 @@ def notes_of(scene: Scene) -> list[str]:
         notes.append(f"GPS: {it.gps}")
     if it and it.health not in ("", "ok"):
         notes.append(it.health)
-    notes += [f"{each.name} is {each.verdict}" for each in scene.services if each.verdict not in ("ok", "starting")]
+    wrong = [each for each in scene.services if each.verdict not in ("ok", "starting")]
+    notes += [f"{each.name} is {each.verdict}" for each in wrong]
     notes += [words for each in scene.services for words in each.warnings]
     if scene.ending and scene.backdrop.release:
         notes.append(f"{scene.ending.verdict}: {scene.ending.text}")
@@ -179,7 +188,8 @@ def _decimal(scene: Scene) -> str:
 def _rate(last: Measurement) -> str:
     if last.rate is None:
         return ""
-    low, middle, high = (f"{KG_H * value:.2g}" if KG_H * value < 100 else f"{KG_H * value:.0f}" for value in last.rate)
+    rates = [KG_H * value for value in last.rate]
+    low, middle, high = (f"{rate:.2g}" if rate < 100 else f"{rate:.0f}" for rate in rates)
     return f"; {middle} kg/h ({low} to {high})"
 
 
@@ -187,7 +197,10 @@ def _rate(last: Measurement) -> str:
 
 
 def target_radius_m(stop: str) -> float | None:
-    """Return within how many metres 95% of a round belief lies once it meets a stop criterion; None if unknown."""
+    """Return within how many metres 95% of a round belief lies once it meets a stop criterion.
+
+    None if that is not known.
+    """
     kind, _, rest = stop.partition(":")
     try:
         numbers = [float(number) for number in rest.split(",")]
@@ -210,8 +223,8 @@ def _leg_s(measurements: Sequence[Measurement]) -> float | None:
 def moves_left(measurements: Sequence[Measurement], stop: str) -> int | None:
     """Return about how many moves are left until a search stops; None if that cannot be told.
 
-    On average a belief shrinks by the same factor with each move. How it shrank lately says less: it hardly does
-    until the gas is found, and then fast. None while the readings do not fit: then there is no stop.
+    On average a belief shrinks by the same factor with each move. How it shrank lately says less: it hardly
+    does until the gas is found, and then fast. None while the readings do not fit: then there is no stop.
     """
     target_m = target_radius_m(stop)
     if target_m is None or not measurements or measurements[-1].p_value < INCOMPATIBLE:

@@ -253,9 +253,7 @@ class Client:
         """Build and pack a scene; in another thread, as it may take long."""
         scene, mission, published_ms = vehicle.scene(None if self._live else want.at_s)
         truth = want.truth and not aside
-        return packed(
-            scene, sent, mission, self._number, truth=truth, published_ms=published_ms, aside=aside
-        )
+        return packed(scene, sent, mission, self._number, truth=truth, published_ms=published_ms, aside=aside)
 
     async def _say(self, message: dict[str, Any]) -> None:
         await self._socket.send_text(msgspec.json.encode(message).decode())

@@ -87,6 +87,7 @@ def _gauge(sensor: Sensor) -> Gauge:
         return Gauge("g/m³", tuple(sensor.threshold * step for step in STEPS))
     if isinstance(sensor, Instrument) and sensor.air:
         clean = sensor.air - NOISE * float(sensor.noise_std(sensor.air))
-        return Gauge("RS/R0", (clean, *(part * sensor.air for part in FALLING if part * sensor.air < clean)), True)
+        further = [part * sensor.air for part in FALLING if part * sensor.air < clean]
+        return Gauge("RS/R0", (clean, *further), True)
     unit = "g/m²" if isinstance(sensor, Instrument) and sensor.ray else "g/m³"
     return Gauge(unit, tuple(NOISE * sensor.environment_noise * step for step in STEPS))

@@ -21,6 +21,7 @@ RECORD = Path(__file__).parents[1] / "golden" / "homing-gaussian-field.mcap"
 SIZES = {"1280": (DESK, "light"), "1920": ((1920, 1080), "dark"), "360": (PHONE, "light")}
 NAMES = ("live", "paused", "warned", "found", "doubtful", "four", "replay")
 CELLS = (32, 20)
+PATIENCE_MS = 120_000.0  # the machine may be busy
 WIDEST = 480  # px of a kept picture
 PARTS = {
     "sentence": ".sentence",
@@ -71,7 +72,9 @@ def shown(name: str) -> Iterator[str]:
 
 def looked(window: Window, name: str) -> Look:
     """Wait until all is drawn, and return how it looks."""
-    window.until("plumeward.drawn > 0 && document.querySelector('.map canvas') && plumeward.state.show.length")
+    window.until(
+        "plumeward.drawn > 0 && document.querySelector('.map canvas') && plumeward.state.show.length"
+    )
     if name == "four":
         window.until("Object.values(plumeward.state.models).filter(({ scene }) => scene).length === 4")
     window.until("plumeward.panes.get(plumeward.state.show[0]).map.view")
@@ -104,6 +107,7 @@ def main() -> None:
                     context = chromium.new_context(
                         viewport={"width": width, "height": height}, color_scheme=scheme
                     )
+                    context.set_default_timeout(PATIENCE_MS)
                     window = Window(context.new_page(), address)
                     table[f"{name}-{size}"] = looked(window, name)
                     picture = Image.open(io.BytesIO(window.page.screenshot())).convert("RGB")

@@ -74,7 +74,9 @@ def scene(vehicle: str = "uav/1", steps: int = 6, particles: int = 400) -> Scene
             heading=0.0,
             mode="OFFBOARD",
             armed=True,
-            condition=Condition(battery=0.62, volts=15.43, gps="3-D fix, 10 satellites", ailing=(), placed=True),
+            condition=Condition(
+                battery=0.62, volts=15.43, gps="3-D fix, 10 satellites", ailing=(), placed=True
+            ),
             speed_mps=2.0,
         ),
         track=np.array([[2.0, 4.0], [6.0, 4.0], [6.0, 12.0]], np.float32),
@@ -105,9 +107,7 @@ def states() -> dict[str, Scene]:
     live = replace(scene(), services=healthy)
     craft, last = live.craft, live.measurements[-1]
     assert craft
-    ailing = replace(
-        craft.condition, battery=0.11, gps="no fix, 3 satellites", ailing=("gps",), placed=False
-    )
+    ailing = replace(craft.condition, battery=0.11, gps="no fix, 3 satellites", ailing=("gps",), placed=False)
     last = replace(last, spread_m=0.45, radius_95_m=0.8, covariance=(0.1, 0.0, 0.1))
     return {
         "live": live,

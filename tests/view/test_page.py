@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from link.bus.mavlink import Codec
 from scene.follow.history import History
-from scene.scene import Backdrop, Condition, Craft, Ending, Happening, Service
+from scene.scene import Backdrop, Craft, Ending, Happening, Service
 from tests.system.pages import Browser
 from tests.view.conftest import PHONE, Window
 from tests.view.stage import RELEASE, Stage, bearing_deg, cloud, measured, scene
