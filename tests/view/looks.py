@@ -112,7 +112,7 @@ def main() -> None:
                     table[f"{name}-{size}"] = looked(window, name)
                     picture = Image.open(io.BytesIO(window.page.screenshot())).convert("RGB")
                     picture.thumbnail((WIDEST, 10 * WIDEST), Image.Resampling.LANCZOS)
-                    picture.quantize(48).save(KEPT / f"{name}-{size}.png", optimize=True)
+                    picture.quantize(128).save(KEPT / f"{name}-{size}.png", optimize=True)
                     context.close()
     text = json.dumps(table, indent=1, ensure_ascii=False)
     (KEPT / "looks.json").write_text(text + "\n")

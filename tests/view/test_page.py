@@ -274,13 +274,13 @@ def test_what_a_pilot_looks_for_has_units_and_a_colour_only_when_it_matters(
         return {name: window.text(f"[data-fact={name}]") for name in names}
 
     assert facts() == {
-        "flies": "search flies",
+        "flies": "search",
         "altitude": "5.0 m",
         "speed": "2.0 m/s",
         "battery": "62%",
         "home": "13 m",
         "link": "good",
-        "moves": "5 of ≈ 18",
+        "moves": "5 of ≈18",
         "left": "≈ 13 s",
     }
     assert window.page.locator(".facts [data-level]").count() == 0

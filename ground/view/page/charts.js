@@ -33,7 +33,7 @@ const decades = { values: (_, splits) => splits.map(decade) };
 
 // Of each chart: its title, unit, lines, axis and scale, and its columns of a table of measurements. The first line is the one that is told.
 const CHARTS = {
-  spread: ["Spread of the belief", "m", [line("belief"), LEVEL, OTHER], decades, logarithmic(1e-3)],
+  spread: ["Spread", "m", [line("belief"), LEVEL, OTHER], decades, logarithmic(1e-3)],
   gas: ["Gas", "", [line("reading", { width: 1.5, fill: () => faded("reading", 0.15), points: { show: true, size: 5, fill: () => colours.reading.css, stroke: () => colours.ink.css, width: 0.5 } }), OTHER], { space: 24 }, linear],
   rate: ["Release rate, with 90% of the belief", "kg/h", [line("belief"), line("belief", { width: 1, dash: [4, 3] }), line("belief", { width: 1, dash: [4, 3] })], decades, logarithmic(1e-6)],
   from: ["Wind comes from", "°", [line("waypoint")], { space: 24 }, { range: (_, low, high) => (low === null ? [0, 360] : [Math.max(0, low - 10), Math.min(360, high + 10)]) }],

@@ -82,7 +82,7 @@ export class Pane {
   draw(model, context) {
     const { scene } = model;
     if (!scene) return;
-    this.drawState(scene, context.moments !== null);
+    this.drawState(scene, context.moments !== null, context.others.length > 0 || Boolean(context.other));
     this.drawFacts(scene, newest(model));
     this.controls.draw(scene);
     this.map.draw(model, context.others);
@@ -97,12 +97,12 @@ export class Pane {
     else if (model.fresh.happenings || context.redraw) this.drawHappenings(model.happenings);
   }
 
-  drawState(scene, isRecord) {
+  drawState(scene, isRecord, several) {
     const { kind, level, text, notes, copy } = this.lost ? { kind: "lost", level: "bad", text: this.lost, notes: [], copy: "" } : this.gone ? { ...scene.state, notes: ["the vehicle is gone", ...scene.state.notes] } : scene.state;
     const place = this.find(".state");
     Object.assign(place.dataset, { level, kind });
     setText(this.find(".state .sign"), STATES[kind] ?? "●");
-    setText(this.find(".sentence"), isRecord ? `Replay, ${seconds(scene.time_s)}. ${text}` : text);
+    setText(this.find(".sentence"), [isRecord && `Replay, ${seconds(scene.time_s)}. `, several && `${this.name}: `, text].filter(Boolean).join(""));
     setText(this.find(".notes"), sentence(notes.join(" · ")));
     this.find(".copy").hidden = !copy;
     this.find(".copy").dataset.copy = copy;
@@ -120,7 +120,7 @@ export class Pane {
       volts: Number.isFinite(craft?.volts) ? `${craft.volts.toFixed(1)} V` : "–",
       home: metres(craft?.home_m),
       link: silent === null ? "–" : silent < QUIET_S ? "good" : `silent ${silent.toFixed(0)} s`,
-      moves: row ? `${row.step}${state.moves_left === null ? "" : ` of ≈ ${row.step + state.moves_left}`}` : "–",
+      moves: row ? `${row.step}${state.moves_left === null ? "" : ` of ≈${row.step + state.moves_left}`}` : "–",
       left: state.seconds_left === null ? "–" : `≈ ${duration(state.seconds_left)}`,
       mode: craft?.mode || "–",
       armed: craft?.armed === true ? "yes" : craft?.armed === false ? "no" : "–",

@@ -2,12 +2,12 @@
 
 /** What a flight mode is in plain words, and what it means. */
 export const MODES = {
-  OFFBOARD: ["search flies", "The search leads the vehicle: PX4 calls this mode OFFBOARD."],
-  GUIDED: ["search flies", "The search leads the vehicle: ArduPilot calls this mode GUIDED."],
-  HOLD: ["holds", "The vehicle stays where it is."], BRAKE: ["holds", "The vehicle stays where it is."], LOITER: ["pilot: loiter", "A pilot's mode: it stays where the pilot leaves it."],
-  TAKEOFF: ["takes off", "The vehicle climbs to its height."], RETURN: ["returns", "The vehicle flies home and lands."], RTL: ["returns", "The vehicle flies home and lands."],
-  SMART_RTL: ["returns", "The vehicle flies home the way it came, and lands."], AUTO_RTL: ["returns", "The vehicle flies home and lands."], LAND: ["lands", "The vehicle lands where it is."],
-  MISSION: ["flies a plan", "The vehicle flies the waypoints of an uploaded plan."], AUTO: ["flies a plan", "The vehicle flies the waypoints of an uploaded plan."],
+  OFFBOARD: ["search", "The search leads the vehicle: PX4 calls this mode OFFBOARD."],
+  GUIDED: ["search", "The search leads the vehicle: ArduPilot calls this mode GUIDED."],
+  HOLD: ["hold", "The vehicle stays where it is."], BRAKE: ["hold", "The vehicle stays where it is."], LOITER: ["pilot: loiter", "A pilot's mode: it stays where the pilot leaves it."],
+  TAKEOFF: ["takeoff", "The vehicle climbs to its height."], RETURN: ["return", "The vehicle flies home and lands."], RTL: ["return", "The vehicle flies home and lands."],
+  SMART_RTL: ["return", "The vehicle flies home the way it came, and lands."], AUTO_RTL: ["return", "The vehicle flies home and lands."], LAND: ["land", "The vehicle lands where it is."],
+  MISSION: ["plan", "The vehicle flies the waypoints of an uploaded plan."], AUTO: ["plan", "The vehicle flies the waypoints of an uploaded plan."],
 };
 
 export function modeOf(mode) {
