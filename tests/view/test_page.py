@@ -24,6 +24,11 @@ def window(stage: Stage, look: Callable[..., Window]) -> Window:
     return drawn(look(stage.address))
 
 
+def more(window: Window) -> None:
+    """Open what is one click away."""
+    window.page.locator(".more summary").first.click()
+
+
 def drawn(window: Window, vehicle: str = "uav/1") -> Window:
     window.until(f"plumeward.drawn > 0 && plumeward.panes.get('{vehicle}')?.map.view")
     return window
@@ -112,6 +117,7 @@ def test_a_real_flight_has_no_truth_to_show(stage: Stage, look: Callable[..., Wi
 
 
 def test_facts_services_and_happenings_are_told(window: Window) -> None:
+    more(window)
     facts = {
         name: window.text(f"[data-fact={name}]")
         for name in ("mode", "armed", "step", "spread", "time", "assume", "stop")
@@ -144,6 +150,7 @@ def test_facts_services_and_happenings_are_told(window: Window) -> None:
 
 
 def test_how_the_gas_comes_and_goes_is_told_where_it_is_not_known(stage: Stage, window: Window) -> None:
+    more(window)
     section = window.page.locator(".intermittency")
     assert not section.is_visible()
     said = {
@@ -207,6 +214,7 @@ def test_a_copter_is_shown_as_it_says_it_is(stage: Stage, look: Callable[..., Wi
     )
     stage.enter(made)
     window = drawn(look(stage.address))
+    more(window)
     facts = {
         name: window.text(f"[data-fact={name}]") for name in ("mode", "armed", "battery", "gps", "health")
     }
@@ -253,6 +261,8 @@ def test_only_what_is_possible_can_be_pressed(stage: Stage, window: Window) -> N
         window.until(f"plumeward.state.models['uav/1'].scene.craft.mode === '{mode}'")
         window.drawn()
         assert can(window) == possible, (state, mode)
+    stage.vehicles["uav/1"].show(craft=replace(scene().craft, mode="HOLD", armed=False))
+    window.until("document.querySelector('[data-command=return]').disabled")
     assert "on the ground" in window.page.get_by_role("button", name="Return").get_attribute("title")
 
 

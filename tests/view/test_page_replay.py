@@ -66,7 +66,7 @@ def shows(window: Window, belief: Belief, name: str = HOMING) -> None:
     """The page shows this belief and no later one."""
     rows = window.model("measurements", name)
     assert len(rows) == belief.step + 1
-    assert rows[-1][0] == belief.step == int(window.text("[data-fact=step]"))
+    assert rows[-1][0] == belief.step == int(window.page.locator("[data-fact=step]").first.text_content())
     assert rows[-1][5] == pytest.approx(belief.spread)
     assert window.model("scene.estimate.x", name) == pytest.approx(belief.mean[0])
     assert len(window.of(f"[...plumeward.panes.get('{name}').charts.spread.data[0]]")) == belief.step + 1
@@ -166,7 +166,7 @@ def test_jumping_goes_to_what_happened(replay: Window) -> None:
     replay.page.locator(".happenings [data-level=stop]").click()
     assert now(replay) == stopped_s
     assert the_stop.count() == 0
-    assert replay.text("[data-fact=armed]") == "yes"
+    assert replay.page.locator("[data-fact=armed]").text_content() == "yes"
     assert replay.page.locator("#marks .mark").count() == replay.page.locator(".happenings li").count()
 
 
