@@ -15,11 +15,10 @@ from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles, Stop
 from plume.elementary import Array, direction
 from plume.parameters import PARAMETERS
-from plume.scenario import SURE_OUTSIDE
+from plume.scenario import INCOMPATIBLE, SURE_OUTSIDE
 
 RECENT = 30  # recent readings in the test of whether they fit the model
 FEWEST = 8  # with fewer readings the test has no power: the p-value is 1
-INCOMPATIBLE = 1e-4  # below this p-value the readings do not fit the model: there is no stop
 CLEAR = 5.0  # least `evidence` for a stop, nats
 # Recent readings in which `stretch` looks for neighbours that are alike: a search has few more in the gas.
 RUN = 20

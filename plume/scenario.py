@@ -16,6 +16,7 @@ BUDGET_STEPS = 300  # most moves of a mission; the paper states no budget
 SUCCESS_RADIUS_M = 1.0
 # A stop claims that the source is outside the area if at least this share of the belief is.
 SURE_OUTSIDE = 0.95
+INCOMPATIBLE = 1e-4  # below this p-value the readings do not fit the model: there is no stop
 AS_MODELLED = "as-modelled"  # the world that matches what the estimator assumes
 # τ, s. Table 1 states none; the paper's illustration has 10 s.
 LIFETIME_S = 10.0

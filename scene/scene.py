@@ -73,6 +73,7 @@ class Backdrop:
     area_m: float = AREA_M  # side of the square search area [0, area_m]²
     title: str = ""  # words for people: the policy, the seed; empty if unknown
     release: Release | None = None  # None: a real flight, or a simulation whose truth is not told
+    walls: tuple[tuple[Point, ...], ...] = ()  # outlines of buildings, as far as they are known
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +106,23 @@ class Craft:
     armed: bool | None = None
     fix: tuple[float, float, float] | None = None  # latitude, longitude, degrees, and altitude above sea, m
     condition: Condition = Condition()
+    speed_mps: float = math.nan  # over ground; NaN if unknown
+
+    @property
+    def home_m(self) -> float:
+        """How far it is from home in the plane; NaN if unknown."""
+        return math.hypot(*self.position)
+
+
+@dataclass(frozen=True, slots=True)
+class Gauge:
+    """How the sensor's readings are shown, so that the same value always looks the same."""
+
+    unit: str  # as people write it
+    # Where one colour ends and the next begins, from little gas to much. What is short of the first is noise:
+    # clean air gives it, too.
+    edges: tuple[float, ...]
+    falls: bool = False  # whether more gas gives lower readings
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +140,13 @@ class Measurement:
     # How the gas comes and goes, and how long to hover for it, s: as of `Belief`.
     intermittency: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     advised_dwell_s: float = 0.0
+    radius_95_m: float = math.nan  # 95% of the belief lies within it around the estimate; NaN if unknown
+    rate: tuple[float, float, float] | None = None  # of release: 5, 50 and 95% quantiles, g/s; None if told
+    wind: Point | None = None  # of the belief: points to where the wind comes from, m/s
+    p_value: float = 1.0  # near 0 if the recent readings do not fit the model
+    evidence: float = 0.0  # for gas, nats
+    effective_sample_size: float = math.nan
+    outside: float = 0.0  # share of the belief outside the area
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +205,9 @@ class Scene:
     services: Sequence[Service] = ()
     happenings: Sequence[Happening] = ()
     ending: Ending | None = None
+    home: tuple[float, float, float] | None = None  # of the area's corner: degrees, and m above sea
+    silent_s: float | None = None  # since the vehicle was last heard, by the clock; None in a record
+    gauge: Gauge | None = None
 
     @property
     def threshold_m(self) -> float | None:

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 from starlette.applications import Starlette
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
@@ -25,12 +26,14 @@ from ground.view.live import LiveFleet, LiveVehicle
 from ground.view.records import RecordedFleet, RecordedVehicle
 from ground.view.serving import TRY_AGAIN_LATER, converse, guarded
 from ground.view.wire import Sent, packed
+from link.access.roles import MOST_VEHICLES
 from plume import __version__
 
 PAGE = Path(__file__).with_name("page")
 MOST_CLIENTS = 20  # pages that may command, and pages that may only look
 LONGEST_MESSAGE = 4096  # bytes of a message from the page
 EVERY_S = 1 / 30  # shortest time between two live scenes of a vehicle
+ASIDE_S = 0.2  # the same of one that is only on the map of another
 MOST_COMMANDS, COMMANDS_S = 5, 1.0  # commands of a page within a time; more are refused, but for urgent ones
 TOO_MANY = f"more than {MOST_COMMANDS} commands within {COMMANDS_S:g} s: wait a moment"
 MOST_ANSWERS = 100  # a page that leaves this many answers to its commands unread is closed
@@ -44,6 +47,7 @@ class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
     """What the page says: what it wants to see, which scene it has drawn, or a command to a vehicle."""
 
     show: Annotated[list[str], Meta(max_length=2)] | None = None
+    beside: Annotated[list[str], Meta(max_length=MOST_VEHICLES)] = []  # on the map of the first one as well
     truth: bool = False
     at_s: float | None = None
     drawn: int | None = None
@@ -77,7 +81,7 @@ class PageServer:
             routes=[
                 Route("/", self._index),
                 WebSocketRoute("/scenes", self._scenes),
-                Mount("/static", StaticFiles(directory=PAGE, check_dir=False)),
+                Mount("/static", GZipMiddleware(StaticFiles(directory=PAGE, check_dir=False))),
             ]
         )
         app.router.redirect_slashes = False  # it fails on a query that is not UTF-8
@@ -212,6 +216,8 @@ class Client:
             bye, vehicles = self._server.bye, self._shown.vehicles
             wanted = [vehicles[name] for name in self._want.show or () if name in vehicles]
             waits_s = [await self._show(vehicle) for vehicle in wanted]
+            aside = [vehicles[name] for name in self._want.beside if name in vehicles]
+            waits_s += [await self._show(each, aside=True) for each in aside if each not in wanted]
             if bye and not bye_said and all(self._what(it) == self._sent[it.name].what for it in wanted):
                 bye_said = True
                 await self._say({"bye": bye})
@@ -221,27 +227,33 @@ class Client:
 
     def _what(self, vehicle: Vehicle) -> tuple[object, ...]:
         """Return what identifies the scene that the page wants to see of a vehicle now."""
-        return vehicle.version, self._want.truth, None if self._live else self._want.at_s
+        seen_aside = vehicle.name not in (self._want.show or ())
+        return vehicle.version, self._want.truth, None if self._live else self._want.at_s, seen_aside
 
-    async def _show(self, vehicle: Vehicle) -> float:
-        """Send a vehicle's scene if it is due; returns in how many seconds to look again."""
+    async def _show(self, vehicle: Vehicle, *, aside: bool = False) -> float:
+        """Send a vehicle's scene if it is due; returns in how many seconds to look again.
+
+        aside: only for the map of another vehicle, and less often.
+        """
         want, sent, now_s = self._want, self._sent.setdefault(vehicle.name, Sent()), time.monotonic()
         what = self._what(vehicle)
         if what == sent.what:
             return UNDRAWN_S
-        due_s = sent.at_s + (UNDRAWN_S if not sent.drawn else EVERY_S if self._live else 0.0)
+        every_s = ASIDE_S if aside else EVERY_S
+        due_s = sent.at_s + (UNDRAWN_S if not sent.drawn else every_s if self._live else 0.0)
         if now_s < due_s:
             return due_s - now_s
         self._number += 1
-        data = await asyncio.to_thread(self._packed, vehicle, want, sent)
+        data = await asyncio.to_thread(self._packed, vehicle, want, sent, aside)
         sent.number, sent.at_s, sent.drawn, sent.what = self._number, now_s, False, what
         await self._socket.send_bytes(data)
         return UNDRAWN_S
 
-    def _packed(self, vehicle: Vehicle, want: PageMessage, sent: Sent) -> bytes:
+    def _packed(self, vehicle: Vehicle, want: PageMessage, sent: Sent, aside: bool) -> bytes:
         """Build and pack a scene; in another thread, as it may take long."""
         scene, mission, published_ms = vehicle.scene(None if self._live else want.at_s)
-        return packed(scene, sent, mission, self._number, truth=want.truth, published_ms=published_ms)
+        truth = want.truth and not aside
+        return packed(scene, sent, mission, self._number, truth=truth, published_ms=published_ms, aside=aside)
 
     async def _say(self, message: dict[str, Any]) -> None:
         await self._socket.send_text(msgspec.json.encode(message).decode())

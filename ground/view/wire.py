@@ -13,7 +13,9 @@ import msgspec
 import numpy as np
 
 from scene.scene import Craft, Floats, Measurement, Release, Scatter, Scene, ellipse
+from scene.state import meaning, state_of
 
+UNKNOWN = (math.nan,) * 3
 PLUME_CELLS = 96  # the true plume is sent as this many cells by this many
 
 
@@ -41,6 +43,7 @@ def packed(
     *,
     truth: bool = False,
     published_ms: float | None = None,
+    aside: bool = False,
 ) -> bytes:
     """Return a scene as a message, without what the page has, and note in `sent` that the page has it now.
 
@@ -49,14 +52,14 @@ def packed(
     lists them. Numbers that are not finite are null.
 
     mission: identifies the mission that the scene is of.  truth: whether the page asked for the true plume
-    and source.
+    and source.  aside: whether the page shows the vehicle only on the map of another one: without particles.
     """
     arrays: list[tuple[dict[str, Any], Floats]] = []
     begins = sent.mission != mission
     if begins:
         sent.mission, sent.scatter, sent.release = mission, None, None
         sent.measurements = sent.happenings = sent.track = 0
-    if begins or scene.scatter is not sent.scatter:
+    if not aside and (begins or scene.scatter is not sent.scatter):
         arrays.append(({"name": "particles"}, _particles(scene.scatter)))
     track_from = min(sent.track, len(scene.track))
     arrays.append(({"name": "track", "from": track_from}, scene.track[track_from:]))
@@ -67,10 +70,12 @@ def packed(
         "number": number,
         "published_ms": published_ms,
         "truth": None if shown is None else {"sources": shown.sources},
+        "walls": scene.backdrop.walls if begins else None,
         "arrays": [{**about, "shape": array.shape} for about, array in arrays],
     }
     sent.measurements, sent.happenings = len(scene.measurements), len(scene.happenings)
-    sent.track, sent.scatter, sent.release = len(scene.track), scene.scatter, shown
+    sent.track, sent.release = len(scene.track), shown
+    sent.scatter = sent.scatter if aside else scene.scatter
     return framed(header, [array for _, array in arrays])
 
 
@@ -106,6 +111,10 @@ def _header(scene: Scene, sent: Sent) -> dict[str, Any]:
         },
         "services": scene.services,
         "ending": scene.ending,
+        "state": state_of(scene)._asdict(),
+        "home": scene.home,
+        "silent_s": scene.silent_s,
+        "gauge": scene.gauge,
     }
 
 
@@ -117,8 +126,11 @@ def _craft(craft: Craft) -> dict[str, Any]:
         "altitude_m": craft.altitude_m,
         "heading": craft.heading,
         "mode": craft.mode,
+        "means": meaning(craft.mode),
         "armed": craft.armed,
         "battery": it.battery,
+        "speed_mps": craft.speed_mps,
+        "home_m": craft.home_m,
         "volts": it.volts,
         "gps": it.gps,
         "health": it.health,
@@ -127,7 +139,13 @@ def _craft(craft: Craft) -> dict[str, Any]:
 
 def _estimate(last: Measurement) -> dict[str, Any]:
     x, y = last.estimate
-    return {"x": x, "y": y, "spread_m": last.spread_m, "ellipse": ellipse(last.covariance)}
+    return {
+        "x": x,
+        "y": y,
+        "spread_m": last.spread_m,
+        "radius_95_m": last.radius_95_m,
+        "ellipse": ellipse(last.covariance),
+    }
 
 
 def _gas(last: Measurement) -> dict[str, Any] | None:
@@ -138,7 +156,11 @@ def _gas(last: Measurement) -> dict[str, Any] | None:
 
 
 def _row(each: Measurement) -> tuple[float, ...]:
-    return (each.step, each.time_s, *each.position, each.gas, each.spread_m, *each.estimate)
+    return (
+        *(each.step, each.time_s, *each.position, each.gas, each.spread_m, *each.estimate),
+        *(each.radius_95_m, *(each.wind or UNKNOWN[:2]), *(each.rate or UNKNOWN)),
+        *(each.p_value, each.evidence, each.effective_sample_size),
+    )
 
 
 def _particles(scatter: Scatter | None) -> Floats:

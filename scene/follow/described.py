@@ -1,14 +1,17 @@
 """What a run's own description tells beforehand: its truth, its budget, and how its wind turns."""
 
 import math
+import re
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
 
 from plume.scenario import AREA_M, Scenario
-from scene.scene import Backdrop, Release
+from plume.walls.buildings import read
+from scene.scene import Backdrop, Point, Release
 
 
 class WindTurn(NamedTuple):
@@ -44,6 +47,7 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
         title=f"{policy}, seed {about.get('seed')}" if policy is not None else "",
         release=release,
         area_m=area_of(about),
+        walls=_walls(about),
     )
     return backdrop, budget if isinstance(budget, int) else None
 
@@ -54,6 +58,18 @@ def area_of(about: dict[str, Any]) -> float:
         area_m: float = msgspec.convert(about["area_m"], Annotated[float, msgspec.Meta(gt=0, le=100_000)])
         return area_m
     return AREA_M
+
+
+def _walls(about: dict[str, Any]) -> tuple[tuple[Point, ...], ...]:
+    """Return the outlines of the buildings of a run's world; none if their file is not here."""
+    mission = about.get("mission")
+    world = mission.get("world") if isinstance(mission, dict) else None
+    walled = re.search(r"(?:^|\+)walls:(?:[^+]*,)?file=([^,+]+)", world) if isinstance(world, str) else None
+    if walled is None or not (re.fullmatch(r"[\w-]+", walled[1]) or Path(walled[1]).is_file()):
+        return ()
+    with suppress(ValueError):
+        return tuple(each.footprint for each in read(walled[1]).buildings)
+    return ()
 
 
 def turns_of(about: dict[str, Any]) -> list[WindTurn] | None:

@@ -8,17 +8,17 @@ from functools import partial
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from link.bus.frames import Frame
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT
 from link.bus.mavlink import Texts, continued, unpack_reading
-from link.bus.messages import Belief, Health, Stop, unpack_particles
+from link.bus.messages import Belief, Health, Particles, Stop, unpack_particles
 from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
 from link.record.reader import Recording
 from link.record.record import HEALTH_PREFIX, began_s
 from scene.follow.area import HEARTBEAT, PLACING, AreaFrame, Fix
+from scene.follow.believed import gauge_of, measured, scatter
 from scene.follow.described import WindTurn, backdrop_of, turns_of
 from scene.follow.parts import LONGEST, Parts
 from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, frames, level_of, seen, waypoint
@@ -30,6 +30,7 @@ from scene.scene import (
     Backdrop,
     Craft,
     Ending,
+    Gauge,
     Happening,
     Measurement,
     Point,
@@ -85,12 +86,14 @@ class History:
         self._walls: Timed[float] = timed()
         self._endings: Timed[Ending] = timed()
         self._stop = self._assume = ""
+        self._gauge: Gauge | None = None
         self._forget_way()
 
     def _forget_way(self) -> None:
         """Forget where the vehicle is and was."""
         self._area.forget()
         self._boot_ms = 0
+        self._heard_s = -math.inf  # when the vehicle was last heard, by the clock
         self._crafts: Timed[Craft] = Timed(self._whole)
         self._displace()
 
@@ -169,6 +172,7 @@ class History:
                     self._happened(time_s, level_of(fields["severity"]), who, text)
             elif is_own:
                 self._take_own(frame.message_id, fields, time_s)
+        self._heard_s = self.wall_s if changed else self._heard_s
         if self.craft and self.craft is not before:
             self._crafts.add(time_s, self.craft)
         return changed
@@ -197,24 +201,11 @@ class History:
         last = self.measurements.at()
         if last is not None and said.step <= last.step:
             return False  # repeated
-        self.measurements.add(
-            time_s,
-            Measurement(
-                said.step,
-                time_s,
-                said.position,
-                said.gas,
-                said.spread,
-                said.mean,
-                said.covariance,
-                said.ceased,
-                said.intermittency,
-                said.advised_dwell,
-            ),
-        )
-        self._stop, self._assume = said.stop, said.assume
+        cloud = _cloud(said, attachment) if attachment else None
+        self.measurements.add(time_s, measured(said, cloud, time_s))
+        self._stop, self._assume, self._gauge = said.stop, said.assume, gauge_of(said.sensor)
         if attachment:
-            self._scatters.add(time_s, _scatter(said, attachment))
+            self._scatters.add(time_s, None if cloud is None else scatter(said, cloud))
         if not said.ceased and self._budget is not None and said.step >= self._budget:
             self._ended(
                 time_s,
@@ -275,6 +266,9 @@ class History:
             services=tuple(self._parts.at(time_s, wall)),
             happenings=self.happenings.until(time_s),
             ending=self._endings.at(time_s),
+            home=self._area.home,
+            silent_s=None if wall_s is None or craft is None else max(0.0, wall_s - self._heard_s),
+            gauge=self._gauge,
         )
 
     def _backdrop(self, time_s: float, step: int) -> Backdrop:
@@ -289,20 +283,12 @@ class History:
         return replace(self.backdrop, release=release)
 
 
-def _scatter(said: Belief, attachment: bytes) -> Scatter | None:
-    """Return a belief's particles in the plane; a known x or y is the estimate's own.
-
-    None if they are not valid.
-    """
+def _cloud(said: Belief, attachment: bytes) -> Particles | None:
+    """Return a belief's particles; None if they are not valid."""
     try:
-        rows = unpack_particles(attachment, len(said.unknowns))
+        return unpack_particles(attachment, len(said.unknowns))
     except ValueError:
         return None
-    places = np.empty((len(rows), 2), np.float32)
-    for column, name in enumerate("xy"):
-        known = name not in said.unknowns
-        places[:, column] = said.mean[column] if known else rows[:, said.unknowns.index(name)]
-    return Scatter(places, rows[:, -1].copy())
 
 
 # ---- of a run ----

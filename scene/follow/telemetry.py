@@ -53,11 +53,27 @@ def seen(was: Craft, message_id: int, fields: dict[str, Any], time_s: float, are
         case 30 if math.isfinite(fields["yaw"]):  # ATTITUDE: yaw is clockwise from north
             yaw = math.remainder(math.pi / 2 - fields["yaw"], 2 * math.pi)
             return Craft(
-                time_s, was.position, was.altitude_m, yaw, was.mode, was.armed, was.fix, was.condition
+                time_s,
+                was.position,
+                was.altitude_m,
+                yaw,
+                was.mode,
+                was.armed,
+                was.fix,
+                was.condition,
+                was.speed_mps,
             )
         case 32 if place := area.place(fields):  # LOCAL_POSITION_NED
             return Craft(
-                time_s, place[:2], place[2], was.heading, was.mode, was.armed, was.fix, was.condition
+                time_s,
+                place[:2],
+                place[2],
+                was.heading,
+                was.mode,
+                was.armed,
+                was.fix,
+                was.condition,
+                math.hypot(fields["vx"], fields["vy"]),
             )
         case 33:  # GLOBAL_POSITION_INT; (0, 0) is sent without a position
             fix = fields["lat"] / 1e7, fields["lon"] / 1e7, fields["alt"] / 1e3

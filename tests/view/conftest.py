@@ -2,6 +2,7 @@
 screenshots.
 """
 
+import io
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from tests.system.conftest import start as start
 from tests.view.browser import MISSING, found, launched
@@ -107,6 +109,10 @@ class Window:
         """Keep a screenshot for people to look at."""
         SCREENSHOTS.mkdir(exist_ok=True)
         self.page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=whole)
+
+    def picture(self) -> Any:
+        """A screenshot, as an image of Pillow."""
+        return Image.open(io.BytesIO(self.page.screenshot()))
 
     def violations(self) -> list[str]:
         """What axe-core finds that hinders people."""

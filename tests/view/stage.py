@@ -13,7 +13,20 @@ import numpy as np
 from ground.view.access import AccessRules
 from ground.view.server import LONGEST_MESSAGE, Fleet, PageServer
 from ground.view.serving import server_of
-from scene.scene import Backdrop, Craft, Floats, Happening, Measurement, Release, Scatter, Scene, Service
+from scene.scene import (
+    Backdrop,
+    Condition,
+    Craft,
+    Ending,
+    Floats,
+    Gauge,
+    Happening,
+    Measurement,
+    Release,
+    Scatter,
+    Scene,
+    Service,
+)
 
 RELEASE = Release(source=(24.0, 6.0), wind=(-3.0, -4.0), q=10.0, d=1.0, tau=10.0)
 """Its wind of 5 m/s comes from the south-west: from 216.87°."""
@@ -23,7 +36,20 @@ def measured(
     step: int, spread_m: float, gas: float = 1.0, estimate: tuple[float, float] = (10.0, 20.0)
 ) -> Measurement:
     """A reading each second, each half a metre further to the east."""
-    return Measurement(step, float(step), (2.0 + 0.5 * step, 4.0), gas, spread_m, estimate, (4.0, 0.0, 1.0))
+    return Measurement(
+        step,
+        float(step),
+        (2.0 + 0.5 * step, 4.0),
+        gas,
+        spread_m,
+        estimate,
+        (4.0, 0.0, 1.0),
+        radius_95_m=1.5 * spread_m,
+        rate=(50.0, 90.0, 160.0),
+        wind=RELEASE.wind,
+        evidence=float(step),
+        effective_sample_size=200.0,
+    )
 
 
 def cloud(
@@ -41,7 +67,18 @@ def scene(vehicle: str = "uav/1", steps: int = 6, particles: int = 400) -> Scene
     return Scene(
         Backdrop(vehicle, title=f"by hand, {vehicle}", release=RELEASE),
         time_s=float(steps),
-        craft=Craft(float(steps), (6.0, 12.0), heading=0.0, mode="OFFBOARD", armed=True),
+        craft=Craft(
+            float(steps),
+            (6.0, 12.0),
+            altitude_m=5.0,
+            heading=0.0,
+            mode="OFFBOARD",
+            armed=True,
+            condition=Condition(
+                battery=0.62, volts=15.43, gps="3-D fix, 10 satellites", ailing=(), placed=True
+            ),
+            speed_mps=2.0,
+        ),
         track=np.array([[2.0, 4.0], [6.0, 4.0], [6.0, 12.0]], np.float32),
         measurements=tuple(measured(step, 8.0 * 0.8**step) for step in range(steps)),
         scatter=cloud(particles),
@@ -54,7 +91,52 @@ def scene(vehicle: str = "uav/1", steps: int = 6, particles: int = 400) -> Scene
             Service("estimator", "refusing", "ready", "", 5, 0.034, ("hot",)),
         ),
         happenings=(Happening(0.5, "info", "uav", "armed"), Happening(3.0, "warning", "estimator", "hot")),
+        home=(51.4494, -2.6023, 80.0),
+        silent_s=0.1,
+        gauge=Gauge("g/m³", (0.4, 1.2, 4.0, 12.0, 40.0)),
     )
+
+
+def states() -> dict[str, Scene]:
+    """What an operator may find on the page."""
+    healthy = (
+        Service("uav", "ok", "searching", "", 5, 0.012),
+        Service("estimator", "ok", "ready", "4000 particles", 5, 0.034),
+        Service("agent", "ok", "ready", "homing", 5, 0.002),
+    )
+    live = replace(scene(), services=healthy)
+    craft, last = live.craft, live.measurements[-1]
+    assert craft
+    ailing = replace(craft.condition, battery=0.11, gps="no fix, 3 satellites", ailing=("gps",), placed=False)
+    last = replace(last, spread_m=0.45, radius_95_m=0.8, covariance=(0.1, 0.0, 0.1))
+    return {
+        "live": live,
+        "paused": replace(
+            live,
+            craft=replace(craft, mode="HOLD", speed_mps=0.0),
+            services=(replace(healthy[0], state="paused"), *healthy[1:]),
+            happenings=(*live.happenings, Happening(5.0, "warning", "uav", GIVES_WAY)),
+        ),
+        "warned": replace(
+            live,
+            craft=replace(craft, condition=ailing),
+            services=(*healthy[:2], replace(healthy[2], verdict="missing")),
+            happenings=(*live.happenings, Happening(5.0, "error", "uav", "Battery is low: 11%")),
+        ),
+        "found": replace(
+            live,
+            measurements=(*live.measurements[:-1], last),
+            scatter=cloud(400, (10.0, 20.0), 0.9),
+            waypoint=None,
+            ending=Ending("located", "source found at (10.00, 20.00) ± 0.45 m after 5 steps; error 0.21 m"),
+        ),
+        "doubtful": replace(
+            live, measurements=(*live.measurements[:-1], replace(live.measurements[-1], p_value=1e-6))
+        ),
+    }
+
+
+GIVES_WAY = "Search gives way: HOLD by 255/190 on the bus"
 
 
 class Actor:

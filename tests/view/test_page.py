@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from link.bus.mavlink import Codec
 from scene.follow.history import History
-from scene.scene import Backdrop, Condition, Craft, Ending, Happening, Service
+from scene.scene import Backdrop, Craft, Ending, Happening, Service
 from tests.system.pages import Browser
 from tests.view.conftest import PHONE, Window
 from tests.view.stage import RELEASE, Stage, bearing_deg, cloud, measured, scene
@@ -22,6 +22,11 @@ def window(stage: Stage, look: Callable[..., Window]) -> Window:
     """The page with one vehicle, drawn."""
     stage.enter(scene())
     return drawn(look(stage.address))
+
+
+def more(window: Window) -> None:
+    """Open what is one click away."""
+    window.page.locator(".more summary").first.click()
 
 
 def drawn(window: Window, vehicle: str = "uav/1") -> Window:
@@ -46,7 +51,7 @@ def test_each_thing_is_drawn_at_its_place(window: Window) -> None:
         window.count("estimate", (9.5, 22.5, 15, 29)) == window.count("estimate", (11, 19.5, 13, 20.5)) == 0
     )
     assert window.count("waypoint", (13.0, 11.0, 15.0, 13.0)) > 20
-    assert window.count("reading", (1.5, 3.5, 5.0, 4.5)) > 60
+    assert window.count("gas-1", (1.5, 3.5, 5.0, 4.5)) > 60
     assert window.count("belief", (18, 23, 22, 27)) > 300
     assert window.count("belief", (16, 8, 30, 22)) == 0
 
@@ -68,9 +73,9 @@ def test_the_arrow_shows_where_the_air_moves_to(window: Window) -> None:
         const { canvas, view, ratio } = plumeward.panes.get('uav/1').map, g = canvas.getContext('2d');
         const ink = (x, y) => {
             const { data } = g.getImageData(...[x, y, 14, 14].map((px) => Math.round(px * ratio)));
-            return data.filter((value, i) => i % 4 === 3 && value > 128).length;
+            return data.filter((value, i) => i % 4 === 0 && value < 128).length;
         };
-        return [ink(view.left + 16, 19 - 14), ink(view.left + 16 - 14, 19)];
+        return [ink(24, 24 - 14), ink(24 - 14, 24)];
     })()""")
     assert head > 1.3 * tail > 0
     assert round(bearing_deg(RELEASE.wind)) == 217
@@ -112,6 +117,7 @@ def test_a_real_flight_has_no_truth_to_show(stage: Stage, look: Callable[..., Wi
 
 
 def test_facts_services_and_happenings_are_told(window: Window) -> None:
+    more(window)
     facts = {
         name: window.text(f"[data-fact={name}]")
         for name in ("mode", "armed", "step", "spread", "time", "assume", "stop")
@@ -144,6 +150,7 @@ def test_facts_services_and_happenings_are_told(window: Window) -> None:
 
 
 def test_how_the_gas_comes_and_goes_is_told_where_it_is_not_known(stage: Stage, window: Window) -> None:
+    more(window)
     section = window.page.locator(".intermittency")
     assert not section.is_visible()
     said = {
@@ -207,6 +214,7 @@ def test_a_copter_is_shown_as_it_says_it_is(stage: Stage, look: Callable[..., Wi
     )
     stage.enter(made)
     window = drawn(look(stage.address))
+    more(window)
     facts = {
         name: window.text(f"[data-fact={name}]") for name in ("mode", "armed", "battery", "gps", "health")
     }
@@ -224,37 +232,84 @@ def test_a_copter_is_shown_as_it_says_it_is(stage: Stage, look: Callable[..., Wi
     window.keep("ardupilot")
 
 
-def test_the_search_is_resumed_only_while_it_does_not_lead(stage: Stage, window: Window) -> None:
-    button = window.page.get_by_role("button", name="Resume")
-    assert button.is_disabled()
-    assert "gives the vehicle back to the search" in button.get_attribute("title")
-    for state, is_disabled in (
-        ("paused", False),
-        ("taking off", True),
-        ("returning", False),
-        ("searching", True),
-    ):
-        stage.vehicles["uav/1"].show(services=(Service("uav", "ok", state),))
-        window.until(
-            f"document.querySelector('[data-command=resume]').disabled === {str(is_disabled).lower()}"
-        )
-
-
-def test_a_battery_that_is_known_is_shown(stage: Stage, window: Window) -> None:
-    said = Condition(battery=0.624, volts=15.43, gps="3-D fix, 10 satellites", ailing=(), placed=True)
-    stage.vehicles["uav/1"].show(craft=replace(scene().craft, condition=said))
-    window.until("document.querySelector('[data-fact=battery]').textContent === '62%, 15.4 V'")
-    assert (window.text("[data-fact=gps]"), window.text("[data-fact=health]")) == (
-        "3-D fix, 10 satellites",
-        "ok",
+def can(window: Window) -> dict[str, bool]:
+    """Which buttons can be pressed, by name, of those that are seen."""
+    return window.of(
+        "Object.fromEntries([...document.querySelectorAll('[data-command]')].filter((button) => !button.hidden)"
+        ".map((button) => [button.textContent, !button.disabled]))"
     )
-    window.keep("simulated")
+
+
+def test_only_what_is_possible_can_be_pressed(stage: Stage, window: Window) -> None:
+    searching = {"Pause": True, "Return": True, "Land here…": True, "Give back": False}
+    paused = {"Resume": True, "Return": True, "Land here…": True, "Give back": False}
+    flown = {"Pause": False, "Return": True, "Land here…": True, "Give back": True}
+    returning = {"Pause": False, "Return": False, "Land here…": True, "Give back": True}
+    grounded = dict.fromkeys(searching, False)
+    assert can(window) == searching
+    for state, mode, armed, possible in (
+        ("paused", "HOLD", True, paused),
+        ("searching", "OFFBOARD", True, searching),
+        ("paused", "BRAKE", True, paused),
+        ("paused", "POSITION", True, flown),
+        ("returning", "RTL", True, returning),
+        ("landed", "HOLD", False, grounded),
+        ("taking off", "TAKEOFF", True, searching),
+    ):
+        craft = replace(scene().craft, mode=mode, armed=armed)
+        stage.vehicles["uav/1"].show(services=(Service("uav", "ok", state),), craft=craft)
+        window.until(f"plumeward.state.models['uav/1'].scene.craft.mode === '{mode}'")
+        window.drawn()
+        assert can(window) == possible, (state, mode)
+    stage.vehicles["uav/1"].show(craft=replace(scene().craft, mode="HOLD", armed=False))
+    window.until("document.querySelector('[data-command=return]').disabled")
+    assert "on the ground" in window.page.get_by_role("button", name="Return").get_attribute("title")
+
+
+def test_all_can_be_pressed_while_nobody_knows_what_the_vehicle_does(stage: Stage, window: Window) -> None:
+    stage.vehicles["uav/1"].show(
+        services=(Service("uav", "stale", "returning"),), craft=replace(scene().craft, mode="", armed=None)
+    )
+    window.until("plumeward.state.models['uav/1'].scene.craft.mode === ''")
+    window.drawn()
+    assert all(can(window).values())
+
+
+def test_what_a_pilot_looks_for_has_units_and_a_colour_only_when_it_matters(
+    stage: Stage, window: Window
+) -> None:
+    names = ("flies", "altitude", "speed", "battery", "home", "link", "moves", "left")
+
+    def facts() -> dict[str, str]:
+        return {name: window.text(f"[data-fact={name}]") for name in names}
+
+    assert facts() == {
+        "flies": "search",
+        "altitude": "5.0 m",
+        "speed": "2.0 m/s",
+        "battery": "62%",
+        "home": "13 m",
+        "link": "good",
+        "moves": "5 of ≈18",
+        "left": "≈ 13 s",
+    }
+    assert window.page.locator(".facts [data-level]").count() == 0
+    empty = replace(scene().craft.condition, battery=0.11)
+    stage.vehicles["uav/1"].show(silent_s=2.4, craft=replace(scene().craft, mode="ALTITUDE", condition=empty))
+    window.until("document.querySelector('[data-fact=battery]').textContent === '11%'")
+    assert (facts()["link"], facts()["flies"]) == ("silent 2 s", "pilot: altitude")
+    levels = window.of(
+        "Object.fromEntries([...document.querySelectorAll('.facts [data-level]')].map((one) => "
+        "[one.dataset.fact, one.dataset.level]))"
+    )
+    assert levels == {"flies": "warn", "battery": "bad", "link": "warn"}
+    assert window.violations() == []
 
 
 def test_the_charts_hold_every_reading_and_the_threshold(stage: Stage, window: Window) -> None:
     charts = "plumeward.panes.get('uav/1').charts"
-    steps, spread, threshold, _ = window.of(f"{charts}.spread.data.map((column) => [...column])")
-    assert steps == list(range(6))
+    times, spread, threshold, _ = window.of(f"{charts}.spread.data.map((column) => [...column])")
+    assert times == list(range(6))
     assert spread == pytest.approx([8, 6.4, 5.12, 4.096, 3.2768, 2.62144])
     assert threshold == [0.5] * 6
     grown = (*scene().measurements, *(measured(step, 4.0, gas=step / 2) for step in (6, 7)))
@@ -276,21 +331,19 @@ def test_only_warnings_and_the_stop_are_read_aloud(stage: Stage, window: Window)
 
 
 def test_the_outcome_is_clear(stage: Stage, window: Window) -> None:
-    assert not window.page.locator(".ending").is_visible()
-    looks = set()
-    for verdict in ("located", "FALSE STOP", "ceased", "not ceased"):
+    looks = {window.text(".state .sign")}
+    for verdict, begins in {
+        "located": "Found: 51.4",
+        "FALSE STOP": "False stop: the source is not at 51.4",
+        "outside": "Outside: the source is not in the area",
+        "not ceased": "Not found: the moves are spent",
+    }.items():
         stage.vehicles["uav/1"].show(ending=Ending(verdict, "after 5 steps"))
-        words = f"{verdict.capitalize()} after 5 steps"
-        window.until(f"document.querySelector('.ending').innerText.includes('{words}')")
-        looks.add(
-            (
-                window.text(".ending .sign"),
-                window.of("getComputedStyle(document.querySelector('.ending')).backgroundColor"),
-            )
-        )
+        window.until(f"document.querySelector('.sentence').innerText.startsWith('{begins}')")
+        assert window.text(".notes").endswith(f"{verdict}: after 5 steps")
+        looks.add(window.text(".state .sign"))
         assert window.violations() == []
-        window.keep(f"outcome-{verdict.replace(' ', '-').lower()}")
-    assert len({sign for sign, _ in looks}) == len({colour for _, colour in looks}) == 4
+    assert len(looks) == 5
 
 
 # ---- vehicles that come and go ----
@@ -383,7 +436,8 @@ def test_a_lost_connection_is_told_and_comes_back_by_itself(stage: Stage, window
     assert "Connection lost" in window.text("#notice")
     assert window.page.locator("[data-command=hold]").is_disabled()
     assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 40  # the last picture is there
-    assert "grayscale" in window.of("getComputedStyle(document.querySelector('.map')).filter")
+    assert window.text(".sentence").startswith("Lost link: this page has no connection")
+    assert "grayscale" in window.of("getComputedStyle(document.querySelector('.map canvas')).filter")
     window.keep("connection-lost")
     assert window.violations() == []
     stage.vehicles["uav/1"].show(waypoint=(3.0, 27.0))
@@ -395,7 +449,8 @@ def test_a_lost_connection_is_told_and_comes_back_by_itself(stage: Stage, window
     assert not window.page.locator("#notice").is_visible()
     assert window.count("waypoint", (2, 26, 4, 28)) > 20
     assert window.model("measurements.length") == 6  # not twice
-    assert window.of("getComputedStyle(document.querySelector('.map')).filter") == "none"
+    assert window.of("getComputedStyle(document.querySelector('.map canvas')).filter") == "none"
+    assert window.text(".sentence").startswith("Searching")
 
 
 def test_a_mission_that_is_over_keeps_its_picture(stage: Stage, window: Window) -> None:
@@ -506,13 +561,15 @@ def test_on_a_phone_nothing_reaches_beyond_the_sides(stage: Stage, look: Callabl
     stage.enter(scene("uav/a-vehicle-with-a-very-long-name-indeed"))
     window = drawn(look(stage.address, PHONE, has_touch=True, is_mobile=True))
     assert window.narrow_enough()
-    width = window.page.locator(".map canvas").bounding_box()["width"]
-    assert 290 < width <= 360
+    box = window.page.locator(".map canvas").bounding_box()
+    assert box["width"] == 360
+    assert box["y"] < 640 / 3  # the map comes first, also below the longest sentence
     assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 20
-    for button in ("Hold", "Resume", "Return", "Land"):
+    for button in ("Pause", "Return", "Land", "Give back"):
         box = window.page.get_by_role("button", name=button).bounding_box()
-        assert box["height"] >= 32
+        assert box["height"] >= 44  # a thumb is wide
         assert box["x"] + box["width"] <= 360
+        assert 540 < box["y"] < 640 - box["height"]  # in a bar at the lower edge, without scrolling
     window.keep("phone", whole=True)
     assert window.violations() == []
     window.page.select_option("#second", "uav/a-vehicle-with-a-very-long-name-indeed")
@@ -558,7 +615,7 @@ def test_all_is_reached_by_keyboard_and_the_focus_is_seen(window: Window) -> Non
         "hold",
         "return",
         "land",
-    ]  # the search leads: nothing to resume
+    ]  # the search leads: nothing to resume or to give back
     window.page.keyboard.press("Enter")
     window.until("document.querySelector('#land').open")
     assert window.of("document.activeElement.textContent") == "Keep flying"  # the safe choice comes first
@@ -566,7 +623,7 @@ def test_all_is_reached_by_keyboard_and_the_focus_is_seen(window: Window) -> Non
     window.until("!document.querySelector('#land').open")
     window.page.keyboard.press("?")
     window.until("document.querySelector('#help').open")
-    assert "hold: stay where it is" in window.text("#help")
+    assert "pause: stay where it is" in window.text("#help")
     window.keep("help")
     assert window.violations() == []
     window.page.keyboard.press("Escape")

@@ -66,7 +66,7 @@ def shows(window: Window, belief: Belief, name: str = HOMING) -> None:
     """The page shows this belief and no later one."""
     rows = window.model("measurements", name)
     assert len(rows) == belief.step + 1
-    assert rows[-1][0] == belief.step == int(window.text("[data-fact=step]"))
+    assert rows[-1][0] == belief.step == int(window.page.locator("[data-fact=step]").first.text_content())
     assert rows[-1][5] == pytest.approx(belief.spread)
     assert window.model("scene.estimate.x", name) == pytest.approx(belief.mean[0])
     assert len(window.of(f"[...plumeward.panes.get('{name}').charts.spread.data[0]]")) == belief.step + 1
@@ -81,11 +81,12 @@ def test_a_record_opens_at_its_outcome(replay: Window) -> None:
     assert last.ceased
     assert now(replay) >= time_s
     shows(replay, last)
-    assert "Located" in replay.text(".ending")
+    assert ". Found: " in replay.text(".sentence")
+    assert replay.text(".sentence").startswith("Replay, ")
+    assert replay.text(".notes").startswith("Located: ")
     assert replay.text("#link") == "record"
     assert not replay.page.locator("#notice").is_visible()
-    assert replay.text(".why") == "A record takes no commands"
-    assert replay.page.locator("[data-command=hold]").is_disabled()
+    assert not replay.page.locator(".operator").is_visible()  # a record takes no commands
     assert replay.violations() == []
     replay.keep("replay")
 
@@ -117,7 +118,7 @@ def test_stepping_goes_from_reading_to_reading(replay: Window) -> None:
     replay.page.keyboard.press("Home")
     now(replay)
     assert replay.model("measurements.length", HOMING) == 0
-    assert not replay.page.locator(".ending").is_visible()
+    assert "Found" not in replay.text(".sentence")
     for time_s, belief in said[:3]:
         replay.page.keyboard.press("ArrowRight")
         assert now(replay) == pytest.approx(time_s)
@@ -165,8 +166,8 @@ def test_jumping_goes_to_what_happened(replay: Window) -> None:
     replay.page.locator(".happenings [data-level=stop]").click()
     assert now(replay) == stopped_s
     assert the_stop.count() == 0
-    assert replay.text("[data-fact=armed]") == "yes"
-    assert replay.page.locator("#marks i").count() == replay.page.locator(".happenings li").count()
+    assert replay.page.locator("[data-fact=armed]").text_content() == "yes"
+    assert replay.page.locator("#marks .mark").count() == replay.page.locator(".happenings li").count()
 
 
 def test_playing_runs_to_the_end_at_the_chosen_speed(replay: Window) -> None:

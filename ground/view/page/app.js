@@ -4,9 +4,11 @@ import { followTheme } from "./colours.js";
 import { followKeys } from "./keys.js";
 import { Link } from "./link.js";
 import { merge, unknown, unpack } from "./model.js";
-import { make, Pane, sentence, setText } from "./pane.js";
+import { Pane } from "./pane.js";
+import { followPicture } from "./picture.js";
 import { TimeLine } from "./timeline.js";
 import { followWord } from "./word.js";
+import { make, sentence, setText } from "./words.js";
 
 const MOST_LATENCIES = 2000;
 const find = (id) => document.getElementById(id);
@@ -46,12 +48,13 @@ function draw() {
   planned = false;
   tellWanted();
   const shown = state.show.map((name) => state.models[name]);
-  const last = Math.max(0, ...listed().map((vehicle) => (vehicle.readings_s ?? []).length - 1));
+  const last_s = Math.max(0, ...listed().map((vehicle) => vehicle.end_s ?? 0));
+  const others = aside().map((name) => state.models[name]).filter((model) => model?.scene);
   shown.forEach((model, i) => {
     const vehicle = state.vehicles.find(({ name }) => name === model.name);
     const other = shown.length > 1 ? shown[1 - i] : null;
     panes.get(model.name).draw(model, {
-      other: other?.scene ? other : null, last: last || null, moments: isRecord(vehicle) ? (vehicle.moments ?? []) : null, at_s: state.at_s, redraw: all,
+      other: other?.scene ? other : null, others: i ? [] : others, last_s: last_s || null, moments: isRecord(vehicle) ? (vehicle.moments ?? []) : null, at_s: state.at_s, redraw: all,
     });
   });
   for (const model of shown) if (model.scene) model.fresh.measurements = model.fresh.happenings = false;
@@ -79,10 +82,13 @@ function acknowledge(scenes) {
 const isRecord = (vehicle) => vehicle?.end_s !== null && vehicle?.end_s !== undefined;
 const listed = () => state.show.map((name) => state.vehicles.find((vehicle) => vehicle.name === name)).filter(Boolean);
 
+/** The vehicles that are on the map of the first one as well: all live ones that have no pane. */
+const aside = () => (listed().some(isRecord) ? [] : state.vehicles.filter(({ name, here }) => here && !state.show.includes(name)).map(({ name }) => name));
+
 /** Tell the server what to send, where that is news. */
 function tellWanted() {
   if (!state.show.length) return;
-  const wanted = JSON.stringify({ show: state.show, truth: state.truth, at_s: state.at_s });
+  const wanted = JSON.stringify({ show: state.show, beside: aside(), truth: state.truth, at_s: state.at_s });
   if (wanted !== asked && link.say(JSON.parse(wanted))) asked = wanted;
 }
 
@@ -98,7 +104,7 @@ function show(names) {
   for (const name of names) {
     state.models[name] ??= unknown(name);
     if (panes.has(name)) continue;
-    const pane = new Pane(name, { draw: () => plan(), command, seek: (time_s) => { page.line.pause(); page.line.go(time_s); }, aloud });
+    const pane = new Pane(name, { draw: () => plan(), command, seek: (time_s) => { page.line.pause(); page.line.go(time_s); }, aloud, picture: askPicture });
     panes.set(name, pane);
     place.append(pane.root);
     pane.begin();
@@ -119,7 +125,7 @@ function arrange() {
   for (const [name, pane] of panes) {
     const vehicle = state.vehicles.find((other) => other.name === name);
     pane.describe(vehicle, state.show.length === 1);
-    pane.allow(whyNot(vehicle));
+    pane.allow(whyNot(vehicle), lostText());
   }
   const records = listed().filter(isRecord);
   page.line.show(records);
@@ -136,6 +142,11 @@ function whyNot(vehicle) {
   if (state.link !== "open") return state.link === "over" ? "The mission is over." : "There is no connection.";
   if (!state.hello.may_command) return state.hello.why_not || "Commands are not allowed here.";
   return vehicle?.here ? "" : "The vehicle is gone.";
+}
+
+/** What the sentence says while the page hears nothing of the mission; empty while it does. */
+function lostText() {
+  return state.link === "lost" ? `Lost link: this page has no connection, and shows how it was at ${new Date(state.lost_ms).toLocaleTimeString()}` : "";
 }
 
 // ---- what comes from the server ----
@@ -176,6 +187,7 @@ const link = new Link({
     state.bye = text;
   },
   changed(now, why) {
+    if (now === "lost" && state.link !== "lost") state.lost_ms = Date.now();
     Object.assign(state, { link: now, why });
     document.body.classList.toggle("lost", now === "lost");
     tellLink();
@@ -207,11 +219,11 @@ function aloud(text) {
 
 // ---- what people want ----
 
-const TITLES = { hold: "Hold", resume: "Resume", return: "Return", land: "Land" };
+const TITLES = { hold: "Pause", resume: "Resume", return: "Return", land: "Land" };
 
 function command(name, vehicle = state.show[0]) {
   const pane = panes.get(vehicle);
-  if (!pane || pane.root.querySelector(`[data-command="${name}"]`).disabled) return;
+  if (!pane?.controls.can(name)) return;
   if (name === "land") return confirmLand(vehicle);
   send(name, vehicle);
 }
@@ -234,12 +246,13 @@ function toggleTruth() {
   arrange();
 }
 
+const askPicture = followPicture(find("picture"), () => plan());
 page.line = new TimeLine((time_s) => { state.at_s = time_s; plan(); });
 const hearWord = followWord(find("word-open"), find("word"), () => link.again());
 followTheme(find("theme"), () => plan(true));
 followKeys({
   replay: () => listed().some(isRecord), line: page.line, command, truth: toggleTruth,
-  theme: () => find("theme").click(), help: () => find("help").showModal(),
+  look: (mode) => panes.get(state.show[0])?.look(mode), theme: () => find("theme").click(), help: () => find("help").showModal(),
 });
 find("truth").addEventListener("click", toggleTruth);
 find("help-open").addEventListener("click", () => find("help").showModal());

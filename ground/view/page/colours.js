@@ -1,6 +1,6 @@
 // The colours of canvas and charts, read from the style sheet, in light or dark. Okabe and Ito's palette: safe for colour-blind eyes.
 
-const NAMES = ["paper", "card", "ink", "muted", "grid", "belief", "estimate", "waypoint", "reading", "truth"];
+const NAMES = ["paper", "card", "ink", "muted", "grid", "belief", "estimate", "waypoint", "reading", "truth", "noise", "gas-1", "gas-2", "gas-3", "gas-4", "gas-5"];
 
 /** The colours that hold now, each as {css, rgb}. */
 export const colours = {};

@@ -1,8 +1,8 @@
 // Keys: what each does, and the table of them in the help.
 
-import { make } from "./pane.js";
+import { make } from "./words.js";
 
-/** page: {replay(): bool, line: TimeLine, command(name), truth(), theme(), help()}. */
+/** page: {replay(): bool, line: TimeLine, command(name), look(mode), truth(), theme(), help()}. */
 export function followKeys(page) {
   const { line } = page;
   const keys = [
@@ -16,7 +16,10 @@ export function followKeys(page) {
     ["End", "End", "end of the record", "replay", () => { line.pause(); line.go(line.span[1]); }],
     ["+", "+", "play faster", "replay", () => line.notch(1)],
     ["-", "−", "play slower", "replay", () => line.notch(-1)],
-    ["h", "H", "hold: stay where it is", "live", () => page.command("hold")],
+    ["b", "B", "the map: to the belief", "", () => page.look("belief")],
+    ["a", "A", "the map: all", "", () => page.look("all")],
+    ["", "+ − arrows", "the map: zoom and move, while it has the focus", "", () => {}],
+    ["h", "H", "pause: stay where it is", "live", () => page.command("hold")],
     ["r", "R", "resume the search", "live", () => page.command("resume")],
     ["t", "T", "true plume of a simulation, on or off", "", () => page.truth()],
     ["d", "D", "light or dark", "", () => page.theme()],

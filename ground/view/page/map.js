@@ -1,21 +1,29 @@
-// The map: area, true plume, belief, trail, readings, vehicle, waypoint and estimate on one canvas. Metres, north up.
+// The map on one canvas: it fills its window, and shows the belief large in a corner when it is small.
 
-import { colours, faded } from "./colours.js";
+import * as draw from "./draw.js";
+import { colours } from "./colours.js";
 import { readings } from "./model.js";
+import { coordinates } from "./words.js";
+import { Camera, followHands, isPlaced, reach, viewOf } from "./view.js";
 
-const LEFT = 30, RIGHT = 10, TOP = 40, BOTTOM = 24; // px around the area
-const MARGIN = 0.02; // of the area, seen around it
 const FONT = "12px system-ui, sans-serif";
-const SHADES = 10; // of particles
+const SMALL = 16; // px: a belief that reaches less far from the estimate gets an inset
+const NEAR = 11; // px from a reading that the pointer is at
 const DECADES = 3; // of gas, in the true plume
 
 /** One map. */
 export class WorldMap {
-  constructor(canvas, changed) {
+  /** told(text): what is under the pointer; changed(): draw again. */
+  constructor(canvas, changed, told = () => {}) {
     this.canvas = canvas;
+    this.told = told;
+    this.camera = new Camera();
     this.plume = document.createElement("canvas"); // one pixel a cell
     this.plumeOf = null;
+    this.picture = null; // {image, west, south, width, height}: m
+    this.pointer = null;
     new ResizeObserver(() => { this.resize(); changed(); }).observe(canvas);
+    followHands(canvas, this.camera, { view: () => this.view, changed, tell: (...at) => { this.pointer = at[0] === null ? null : at; this.tell(); } });
     this.resize();
   }
 
@@ -27,42 +35,77 @@ export class WorldMap {
     Object.assign(this, { width, height, ratio });
   }
 
-  /** Draw a model. The view: {x(m) and y(m) to px, side px, left and top px of the area}. */
-  draw(model) {
+  /** Draw a model, and the models of other vehicles on the same map. */
+  draw(model, others = []) {
     const scene = model.scene;
     if (this.ratio !== (devicePixelRatio || 1)) this.resize();
     if (!this.width || !scene) return;
-    const side = Math.max(40, Math.min(this.width - LEFT - RIGHT, this.height - TOP - BOTTOM));
-    const left = LEFT + Math.floor((this.width - LEFT - RIGHT - side) / 2), top = TOP;
-    const edge = Math.max(scene.area_m * MARGIN, 1.5 * beyond(scene)), scale = side / (scene.area_m + 2 * edge);
-    const view = {
-      side, left, top, scale,
-      x: (m) => left + (m + edge) * scale,
-      y: (m) => top + side - (m + edge) * scale,
-    };
-    this.view = view;
+    this.model = model;
+    const view = this.view = this.camera.view(scene, others.map((other) => other.scene), this.width, this.height);
     const g = this.canvas.getContext("2d");
     g.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-    g.clearRect(0, 0, this.width, this.height);
     g.font = FONT;
     g.lineJoin = g.lineCap = "round";
-    drawGrid(g, view, scene.area_m);
-    drawScale(g, view, scene.area_m);
-    drawWind(g, view, scene.wind);
+    g.fillStyle = colours.card.css;
+    g.fillRect(0, 0, this.width, this.height);
+    if (this.picture) draw.picture(g, view, this.picture);
+    draw.grid(g, view, this.width, this.height, scene.area_m);
+    this.drawWorld(g, view, model, others, false);
+    draw.numbers(g, view, this.width, this.height, scene.area_m);
+    draw.scaleBar(g, view, this.width, this.height);
+    draw.wind(g, scene.wind, model.measurements, this.width);
+    this.inset = this.insetOf(scene, view);
+    if (this.inset) this.drawInset(g, model, others);
+    this.canvas.setAttribute("aria-label", inWords(scene, others));
+    this.tell();
+  }
+
+  /** All that lies in the world. */
+  drawWorld(g, view, model, others, large) {
+    const { scene } = model;
+    if (scene.truth && model.plume) this.drawPlume(g, view, scene, model);
+    draw.walls(g, view, model.walls);
+    draw.particles(g, view, model.particles, large);
+    for (const other of others) draw.track(g, view, other.track, true);
+    draw.track(g, view, model.track, false);
+    for (const one of [...others, model]) draw.readings(g, view, readings(one), one.scene.gauge);
+    for (const one of others) draw.waypoint(g, view, one.scene);
+    draw.waypoint(g, view, scene);
+    draw.home(g, view);
+    if (scene.estimate) draw.estimate(g, view, scene.estimate);
+    for (const source of scene.truth?.sources ?? []) draw.source(g, view, source);
+    for (const one of [...others, model]) {
+      if (!isPlaced(one.scene.craft)) continue;
+      draw.craft(g, view, one.scene.craft, one !== model);
+      if (others.length && !large) draw.name(g, view, one.scene.craft, one.name);
+    }
+  }
+
+  /** The window of the inset in px, null where none is wanted. It lies in the lower corner that is farther from the belief. */
+  insetOf(scene, view) {
+    if (!scene.estimate || this.camera.mode === "belief") return null;
+    const radius = reach(scene.estimate);
+    if (radius * view.scale >= SMALL) return null;
+    const side = Math.round(Math.max(96, Math.min(190, 0.3 * Math.min(this.width, this.height))));
+    const left = view.x(scene.estimate.x) < this.width / 2 ? this.width - side - 12 : 46;
+    return { left, top: this.height - side - 58, width: side, height: side, scale: side / Math.max(1, 5 * radius) };
+  }
+
+  drawInset(g, model, others) {
+    const { left, top, width, height, scale } = this.inset, { estimate } = model.scene;
+    const view = viewOf([estimate.x, estimate.y], scale, this.inset);
     g.save();
     g.beginPath();
-    g.rect(left, top, side, side);
+    g.rect(left, top, width, height);
+    g.fillStyle = colours.card.css;
+    g.fill();
     g.clip();
-    if (scene.truth && model.plume) this.drawPlume(g, view, scene, model);
-    drawParticles(g, view, model.particles);
-    drawTrack(g, view, model.track);
-    drawReadings(g, view, readings(model));
-    drawWaypoint(g, view, scene);
-    if (scene.estimate) drawEstimate(g, view, scene.estimate);
-    for (const source of scene.truth?.sources ?? []) drawSource(g, view, source);
-    if (isPlaced(scene.craft)) drawCraft(g, view, scene.craft);
+    this.drawWorld(g, view, model, others, true);
     g.restore();
-    this.canvas.setAttribute("aria-label", inWords(scene));
+    g.strokeStyle = colours.estimate.css;
+    g.lineWidth = 2;
+    g.strokeRect(left, top, width, height);
+    draw.label(g, `${Number((width / scale).toPrecision(2))} m wide`, left + width / 2, top + height - 4, "center", "bottom");
   }
 
   drawPlume(g, view, scene, model) {
@@ -84,217 +127,33 @@ export class WorldMap {
     }
     g.drawImage(this.plume, view.x(0), view.y(scene.area_m), scene.area_m * view.scale, scene.area_m * view.scale);
   }
-}
 
-/** A round number of metres, at least `least`: 1, 2 or 5 times a power of ten. */
-export function round(least) {
-  const power = 10 ** Math.floor(Math.log10(least));
-  return power * [1, 2, 5, 10].find((n) => n * power >= least * 0.999);
-}
-
-/** How far the estimate or a true source is beyond the area's edges, m. */
-function beyond({ area_m, estimate, truth }) {
-  const along = [...(estimate ? [estimate.x, estimate.y] : []), ...(truth?.sources ?? []).flat()];
-  return Math.min(area_m, Math.max(0, ...along.map((m) => Math.max(-m, m - area_m)))); // a record may say absurd things
-}
-
-function drawGrid(g, view, area_m) {
-  const step = round(area_m / (view.side < 340 ? 4 : 7));
-  const [from, to] = [0, area_m];
-  g.fillStyle = colours.card.css;
-  g.fillRect(view.left, view.top, view.side, view.side);
-  g.strokeStyle = colours.grid.css;
-  g.fillStyle = colours.muted.css;
-  g.lineWidth = 1;
-  g.beginPath();
-  for (let m = 0; m <= area_m + 1e-9; m += step) {
-    const x = Math.round(view.x(m)) + 0.5, y = Math.round(view.y(m)) + 0.5;
-    g.moveTo(x, view.y(from));
-    g.lineTo(x, view.y(to));
-    g.moveTo(view.x(from), y);
-    g.lineTo(view.x(to), y);
-    g.textAlign = "center";
-    g.textBaseline = "top";
-    g.fillText(m, x, view.top + view.side + 5);
-    g.textAlign = "right";
-    g.textBaseline = "middle";
-    g.fillText(m, view.left - 6, y);
+  /** Say what is under the pointer. */
+  tell() {
+    if (!this.pointer || !this.view || !this.model) return this.told("");
+    const [px, py] = this.pointer, { view, model: { scene, measurements } } = this;
+    const east = view.east(px), north = view.north(py);
+    const said = [`${east.toFixed(1)} m east, ${north.toFixed(1)} m north`];
+    if (scene.home) said.push(coordinates(scene.home, east, north));
+    const far = ([, , x, y]) => Math.hypot(view.x(x) - px, view.y(y) - py);
+    const nearest = measurements.reduce((best, row) => (!best || far(row) <= far(best) ? row : best), null);
+    if (nearest && far(nearest) <= NEAR) {
+      const [step, time_s, , , gas] = nearest, { gauge } = scene;
+      said.unshift(`reading ${step}: ${gas.toPrecision(3)}${gauge?.unit ? ` ${gauge.unit}` : ""}${gauge && !draw.level(gauge, gas) ? ", noise" : ""}, at ${time_s.toFixed(1)} s`);
+    }
+    this.told(said.join(" · "));
   }
-  g.stroke();
-  g.strokeStyle = colours.muted.css;
-  g.strokeRect(Math.round(view.x(0)) + 0.5, Math.round(view.y(area_m)) + 0.5, Math.round(area_m * view.scale), Math.round(area_m * view.scale));
-  g.textAlign = "right";
-  g.textBaseline = "top";
-  g.fillText("m", view.left - 6, view.top + view.side + 5);
-}
-
-function drawScale(g, view, area_m) {
-  const m = round(area_m / 7), right = view.left + view.side, y = 24;
-  const left = right - m * view.scale;
-  g.strokeStyle = colours.ink.css;
-  g.fillStyle = colours.ink.css;
-  g.lineWidth = 1.5;
-  g.beginPath();
-  g.moveTo(left, y - 4);
-  g.lineTo(left, y);
-  g.lineTo(right, y);
-  g.lineTo(right, y - 4);
-  g.stroke();
-  g.textAlign = "center";
-  g.textBaseline = "bottom";
-  g.fillText(`${m} m`, (left + right) / 2, y - 3);
-  g.textAlign = "right";
-  g.fillText("N ↑", left - 14, y + 3);
-}
-
-const POINTS = ["N", "NE", "E", "SE", "S", "SW", "W", "NW"];
-
-/** Where a wind comes from, as a bearing in degrees from north. */
-export function bearing([x, y]) {
-  return Math.round((Math.atan2(x, y) * 180) / Math.PI + 360) % 360;
-}
-
-function drawWind(g, view, wind) {
-  const middle = [view.left + 16, 19];
-  const speed = wind ? Math.hypot(...wind) : 0;
-  g.fillStyle = g.strokeStyle = colours.ink.css;
-  g.textAlign = "left";
-  g.textBaseline = "middle";
-  if (!wind) return;
-  const from = bearing(wind);
-  g.save();
-  g.translate(...middle);
-  g.rotate(Math.atan2(wind[1], -wind[0])); // air moves to −wind; the canvas has y down
-  g.lineWidth = 2;
-  g.beginPath();
-  if (speed > 0) {
-    g.moveTo(-13, 0);
-    g.lineTo(9, 0);
-    g.stroke();
-    g.beginPath();
-    g.moveTo(14, 0);
-    g.lineTo(5, -5);
-    g.lineTo(5, 5);
-    g.fill();
-  }
-  g.restore();
-  const words = view.side < 300 ? "" : "wind ";
-  g.fillText(`${words}${speed.toFixed(1)} m/s from ${POINTS[Math.round(from / 45) % 8]} (${from}°)`, middle[0] + 22, middle[1]);
-}
-
-function drawParticles(g, view, values) {
-  const count = values.length / 3;
-  if (!count) return;
-  const size = Math.min(3.5, Math.max(1.6, view.side / 200)), half = size / 2;
-  const even = 0.5 * Math.min(1.1, (1000 / count) ** 0.25); // how opaque an even weight, 1 / count, is drawn
-  const shades = Array.from({ length: SHADES }, () => []);
-  for (let i = 0; i < count; i++) {
-    const alpha = Math.min(0.95, Math.max(0.08, even * Math.sqrt(values[3 * i + 2] * count)));
-    shades[Math.min(SHADES - 1, Math.floor(alpha * SHADES))].push(i);
-  }
-  shades.forEach((members, shade) => {
-    g.fillStyle = faded("belief", (shade + 0.5) / SHADES);
-    for (const i of members) g.fillRect(view.x(values[3 * i]) - half, view.y(values[3 * i + 1]) - half, size, size);
-  });
-}
-
-function drawTrack(g, view, track) {
-  if (track.length < 4) return;
-  g.beginPath();
-  for (let i = 0; i < track.length; i += 2) g.lineTo(view.x(track[i]), view.y(track[i + 1]));
-  haloed(g, colours.ink.css, 1.6);
-}
-
-/** Stroke the path with an edge of the paper's colour, so that it is seen on anything. */
-function haloed(g, css, width) {
-  g.strokeStyle = faded("card", 0.8);
-  g.lineWidth = width + 2.5;
-  g.stroke();
-  g.strokeStyle = css;
-  g.lineWidth = width;
-  g.stroke();
-}
-
-/** Whether a vehicle has said where it is. */
-const isPlaced = (craft) => Number.isFinite(craft?.x) && Number.isFinite(craft?.y);
-
-function drawReadings(g, view, rows) {
-  const most = rows.reduce((a, [, , gas]) => Math.max(a, gas), 0) || 1;
-  g.lineWidth = 1;
-  for (const [x, y, gas] of rows) {
-    g.beginPath();
-    g.arc(view.x(x), view.y(y), 2 + 6 * Math.sqrt(Math.max(gas, 0) / most), 0, 2 * Math.PI);
-    g.fillStyle = faded("reading", 0.85);
-    g.fill();
-    g.strokeStyle = colours.ink.css;
-    g.stroke();
-  }
-}
-
-function drawWaypoint(g, view, { waypoint, craft }) {
-  if (!waypoint) return;
-  const [x, y] = [view.x(waypoint[0]), view.y(waypoint[1])];
-  if (isPlaced(craft)) {
-    g.beginPath();
-    g.moveTo(view.x(craft.x), view.y(craft.y));
-    g.lineTo(x, y);
-    g.setLineDash([4, 4]);
-    haloed(g, colours.waypoint.css, 1.5);
-    g.setLineDash([]);
-  }
-  g.beginPath();
-  for (const [dx, dy] of [[0, -7], [7, 0], [0, 7], [-7, 0]]) g.lineTo(x + dx, y + dy);
-  g.closePath();
-  haloed(g, colours.waypoint.css, 2.2);
-}
-
-function drawEstimate(g, view, { x, y, ellipse: [longer, shorter, angle] }) {
-  const [px, py] = [view.x(x), view.y(y)];
-  g.beginPath();
-  g.ellipse(px, py, longer * view.scale, shorter * view.scale, -angle, 0, 2 * Math.PI);
-  haloed(g, colours.estimate.css, 1.8);
-  g.beginPath();
-  for (const [dx, dy] of [[8, 0], [0, 8]]) {
-    g.moveTo(px - dx, py - dy);
-    g.lineTo(px + dx, py + dy);
-  }
-  haloed(g, colours.estimate.css, 2.6);
-}
-
-function drawSource(g, view, [x, y]) {
-  const [px, py] = [view.x(x), view.y(y)];
-  g.beginPath();
-  g.arc(px, py, 9, 0, 2 * Math.PI);
-  haloed(g, colours.truth.css, 2.4);
-  g.beginPath();
-  g.arc(px, py, 2.8, 0, 2 * Math.PI);
-  g.fillStyle = colours.truth.css;
-  g.fill();
-}
-
-function drawCraft(g, view, { x, y, heading }) {
-  g.save();
-  g.translate(view.x(x), view.y(y));
-  g.beginPath();
-  if (heading === null) g.arc(0, 0, 6, 0, 2 * Math.PI);
-  else {
-    g.rotate(-heading);
-    for (const [dx, dy] of [[12, 0], [-8, -7.5], [-4, 0], [-8, 7.5]]) g.lineTo(dx, dy);
-    g.closePath();
-  }
-  haloed(g, colours.ink.css, 2);
-  g.fillStyle = colours.ink.css;
-  g.fill();
-  g.restore();
 }
 
 /** What the map shows, for who cannot see it. */
-function inWords({ area_m, craft, estimate, wind, truth }) {
+function inWords({ area_m, craft, estimate, wind, truth, waypoint }, others) {
   const at = (x, y) => `(${x.toFixed(1)}, ${y.toFixed(1)})`;
   const said = [`Map, ${area_m} m square`];
   if (isPlaced(craft)) said.push(`vehicle at ${at(craft.x, craft.y)}`);
-  if (estimate) said.push(`estimate at ${at(estimate.x, estimate.y)} ± ${estimate.spread_m.toFixed(2)} m`);
-  if (wind) said.push(`wind ${Math.hypot(...wind).toFixed(1)} m/s from ${bearing(wind)}°`);
+  for (const { name, scene } of others) if (isPlaced(scene.craft)) said.push(`${name} at ${at(scene.craft.x, scene.craft.y)}`);
+  if (waypoint) said.push(`next waypoint ${at(...waypoint)}`);
+  if (estimate) said.push(`estimate at ${at(estimate.x, estimate.y)}, 95% of the belief within ${reach(estimate).toFixed(1)} m`);
+  if (wind) said.push(`wind ${Math.hypot(...wind).toFixed(1)} m/s from ${draw.bearing(wind)}°`);
   for (const source of truth?.sources ?? []) said.push(`true source at ${at(...source)}`);
   return said.join("; ");
 }

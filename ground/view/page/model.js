@@ -21,6 +21,7 @@ export function unknown(name) {
     particles: new Float32Array(0), // x, y, weight, x, y, weight, ...
     track: [], // x, y, x, y, ...
     measurements: [], happenings: [],
+    walls: [], // outlines, [[x, y], …]
     plume: null, // {cells, values, most}
     fresh: { measurements: true, happenings: true, plume: true }, // what has changed since it was last drawn
   };
@@ -39,6 +40,7 @@ export function merge(model, { header, arrays }) {
     if (rows.length || from < model[name].length) model.fresh[name] = true;
     splice(model[name], from, rows);
   }
+  if (header.walls) model.walls = header.walls;
   if (arrays.track) splice(model.track, 2 * arrays.track.from, arrays.track.values);
   if (arrays.particles) model.particles = arrays.particles.values;
   if (arrays.plume) {
@@ -48,12 +50,19 @@ export function merge(model, { header, arrays }) {
   }
 }
 
-const STEP = 0, X = 2, Y = 3, GAS = 4, SPREAD = 5;
+// Columns of a measurement, as of `_row` in wire.py.
+const STEP = 0, TIME = 1, X = 2, Y = 3, GAS = 4, SPREAD = 5, WIND = 9, RATE = 11, P = 14, EVIDENCE = 15, SIZE = 16;
+const KG_H = 3.6; // of a g/s
 
 /** Columns of the measurements, for the charts. */
 export function columns(model) {
   const rows = model.measurements;
-  return { steps: rows.map((r) => r[STEP]), gas: rows.map((r) => r[GAS]), spread: rows.map((r) => r[SPREAD]) };
+  const of = (column, factor = 1) => rows.map((row) => (Number.isFinite(row[column]) ? factor * row[column] : null));
+  return {
+    steps: of(STEP), times: of(TIME), gas: of(GAS), spread: of(SPREAD), p: of(P), evidence: of(EVIDENCE), size: of(SIZE),
+    rate: [of(RATE, KG_H), of(RATE + 1, KG_H), of(RATE + 2, KG_H)],
+    from: rows.map(({ [WIND]: x, [WIND + 1]: y }) => (Number.isFinite(x) ? ((Math.atan2(x, y) * 180) / Math.PI + 360) % 360 : null)),
+  };
 }
 
 /** Where gas was measured, and how much: [x, y, gas]. */

@@ -1,34 +1,18 @@
-// A pane shows one vehicle: facts, outcome, map, charts, services, what happened, and the operator's commands.
+// A pane shows one vehicle: a sentence, what may be done, the map, what a pilot looks for, charts, and all else when it is asked for.
 
 import { Charts } from "./charts.js";
+import { Controls } from "./controls.js";
+import { fillLegend } from "./legend.js";
 import { WorldMap } from "./map.js";
 import { newest } from "./model.js";
+import { duration, make, modeOf, seconds, sentence, setText, stopInWords } from "./words.js";
 
 const SIGNS = { ok: "✓", missing: "✕", starting: "…", stale: "!", refusing: "!" };
 const LEVELS = { info: "·", warning: "!", error: "✕", stop: "■" };
-const ENDINGS = { located: ["✓", "Located", "good"], outside: ["↗", "Outside the area", "warn"], "FALSE STOP": ["✕", "False stop", "bad"], ceased: ["■", "Ceased", "calm"], "not ceased": ["!", "Not ceased", "warn"] };
-const LEADING = ["taking off", "searching"]; // the uav's states in which the search leads
+const STATES = { found: "✓", false: "✕", outside: "↗", spent: "!", paused: "❚❚", pilot: "❚❚", lost: "✕", stuck: "✕", doubtful: "?", returning: "↩", landing: "↓", over: "■" };
 const MOST_ROWS = 200;
-
-/** Set a text only where it differs, so that nothing is laid out in vain. */
-export function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
-}
-
-export function make(tag, className, text) {
-  const element = document.createElement(tag);
-  if (className) element.className = className;
-  if (text !== undefined) element.textContent = text;
-  return element;
-}
-
-export function sentence(text) {
-  return text.charAt(0).toUpperCase() + text.slice(1);
-}
-
-export function seconds(time_s) {
-  return `${time_s.toFixed(1)} s`;
-}
+const LOW = 0.25, EMPTY = 0.12; // shares of charge, as in scene/state.py
+const QUIET_S = 2, SILENT_S = 3; // since the vehicle was heard
 
 export class Pane {
   /** on: {draw(): draw again, command(name, vehicle), seek(time_s), aloud(text)}. */
@@ -38,19 +22,38 @@ export class Pane {
     this.root = document.getElementById("pane").content.firstElementChild.cloneNode(true);
     this.find = (selector) => this.root.querySelector(selector);
     this.facts = Object.fromEntries([...this.root.querySelectorAll("[data-fact]")].map((element) => [element.dataset.fact, element]));
-    for (const button of this.root.querySelectorAll("[data-command]")) {
-      button.addEventListener("click", () => on.command(button.dataset.command, name));
-    }
+    this.controls = new Controls(this.find(".operator"), (command) => on.command(command, name));
+    this.find(".copy").addEventListener("click", () => this.copy());
     this.announced = null;
     this.shownServices = "";
-    this.whyNot = "";
-    this.leads = false;
+    this.lost = "";
   }
 
   /** Begin to draw, once the pane is on the page. */
   begin() {
-    this.map = new WorldMap(this.find("canvas"), this.on.draw);
-    this.charts = new Charts(this.find(".spread"), this.find(".gas"), this.find(".spread-title"), this.find(".gas-title"));
+    const { find } = this;
+    this.map = new WorldMap(find("canvas"), this.on.draw, (text) => setText(find(".pointer"), text));
+    this.charts = new Charts(find(".charts"), find(".more-charts"), find(".chart-marks"), (words) => setText(find(".mark-words"), words));
+    find(".more").addEventListener("toggle", ({ target }) => { if (target.open) this.charts.open(); });
+    const look = (button, change) => find(button).addEventListener("click", () => { change(); this.on.draw(); });
+    look(".zoom-in", () => this.map.camera.zoom(this.map.view, 1.5));
+    look(".zoom-out", () => this.map.camera.zoom(this.map.view, 1 / 1.5));
+    look(".to-belief", () => { this.map.camera.mode = "belief"; });
+    look(".to-all", () => { this.map.camera.mode = "all"; });
+    find(".picture-open").addEventListener("click", () => this.on.picture(this.map));
+    find(".legend-fold").open = matchMedia("(min-width: 62rem)").matches;
+  }
+
+  /** Look at the belief, or at all. */
+  look(mode) {
+    this.map.camera.mode = mode;
+    this.on.draw();
+  }
+
+  copy() {
+    const button = this.find(".copy");
+    const told = (text) => { setText(button, text); setTimeout(() => setText(button, "Copy coordinates"), 2000); };
+    (navigator.clipboard?.writeText(button.dataset.copy) ?? Promise.reject()).then(() => told("Copied"), () => told(button.dataset.copy));
   }
 
   /** What is known of the vehicle besides its scenes: its entry in the list, null if it is unknown. */
@@ -60,40 +63,67 @@ export class Pane {
     this.root.classList.toggle("gone", Boolean(gone));
     this.find(".title").classList.toggle("hidden", alone && !gone);
     this.root.setAttribute("aria-label", `Vehicle ${this.name}`);
+    this.find(".operator").setAttribute("aria-label", `Operator of ${this.name}`);
+    this.gone = gone;
   }
 
-  /** Allow commands, or say why not. */
-  allow(whyNot) {
-    this.whyNot = whyNot;
-    this.drawButtons();
-    const why = this.find(".why");
-    why.hidden = !whyNot;
-    setText(why, sentence(whyNot));
-  }
-
-  /** While the search leads there is nothing to give back to it. */
-  drawButtons() {
-    for (const button of this.root.querySelectorAll("[data-command]")) {
-      button.disabled = Boolean(this.whyNot) || (button.dataset.command === "resume" && this.leads);
-    }
+  /** Allow commands, or say why not; `lost`: what the sentence says instead while the page has no connection. */
+  allow(whyNot, lost) {
+    this.controls.allow(whyNot);
+    this.lost = lost;
   }
 
   /** Show what became of a command. */
   answer(text, level) {
-    const place = this.find(".answer");
-    place.dataset.level = level;
-    setText(place, text);
+    this.controls.answer(text, level);
   }
 
-  /** Draw all. context: {other: model or null, last: step or null, moments: rows or null, at_s}. */
+  /** Draw all. context: {other: model beside it or null, others: models on the same map, last_s, moments: rows or null, at_s, redraw}. */
   draw(model, context) {
     const { scene } = model;
     if (!scene) return;
-    const row = newest(model), { craft } = scene;
+    this.drawState(scene, context.moments !== null, context.others.length > 0 || Boolean(context.other));
+    this.drawFacts(scene, newest(model));
+    this.controls.draw(scene);
+    this.map.draw(model, context.others);
+    for (const mode of ["belief", "all"]) this.find(`.to-${mode}`).setAttribute("aria-pressed", String(this.map.camera.mode === mode));
+    this.find(".to-belief").disabled = !scene.estimate;
+    fillLegend(this.find(".legend"), scene, model, context.others);
+    if (model.fresh.measurements || model.fresh.happenings || context.other?.fresh.measurements || context.redraw) {
+      this.charts.draw(model, context.other, context.last_s, context.moments ?? model.happenings);
+    }
+    this.drawServices(scene.services);
+    if (context.moments) this.drawMoments(context.moments, context.at_s);
+    else if (model.fresh.happenings || context.redraw) this.drawHappenings(model.happenings);
+  }
+
+  drawState(scene, isRecord, several) {
+    const { kind, level, text, notes, copy } = this.lost ? { kind: "lost", level: "bad", text: this.lost, notes: [], copy: "" } : this.gone ? { ...scene.state, notes: ["the vehicle is gone", ...scene.state.notes] } : scene.state;
+    const place = this.find(".state");
+    Object.assign(place.dataset, { level, kind });
+    setText(this.find(".state .sign"), STATES[kind] ?? "●");
+    setText(this.find(".sentence"), [isRecord && `Replay, ${seconds(scene.time_s)}. `, several && `${this.name}: `, text].filter(Boolean).join(""));
+    setText(this.find(".notes"), sentence(notes.join(" · ")));
+    this.find(".copy").hidden = !copy;
+    this.find(".copy").dataset.copy = copy;
+  }
+
+  drawFacts(scene, row) {
+    const { craft, state } = scene, [flies, meaning] = modeOf(craft?.mode);
+    const metres = (value, digits = 0) => (Number.isFinite(value) ? `${value.toFixed(digits)} m` : "–");
+    const silent = scene.silent_s ?? null;
     const facts = {
+      flies,
+      altitude: craft && Number.isFinite(craft.x) ? metres(craft.altitude_m, 1) : "–",
+      speed: Number.isFinite(craft?.speed_mps) ? `${craft.speed_mps.toFixed(1)} m/s` : "–",
+      battery: Number.isFinite(craft?.battery) ? `${Math.round(100 * craft.battery)}%` : "–",
+      volts: Number.isFinite(craft?.volts) ? `${craft.volts.toFixed(1)} V` : "–",
+      home: metres(craft?.home_m),
+      link: silent === null ? "–" : silent < QUIET_S ? "good" : `silent ${silent.toFixed(0)} s`,
+      moves: row ? `${row.step}${state.moves_left === null ? "" : ` of ≈${row.step + state.moves_left}`}` : "–",
+      left: state.seconds_left === null ? "–" : `≈ ${duration(state.seconds_left)}`,
       mode: craft?.mode || "–",
       armed: craft?.armed === true ? "yes" : craft?.armed === false ? "no" : "–",
-      battery: charge(craft),
       gps: craft?.gps || "–",
       health: craft?.health || "–",
       time: seconds(scene.time_s),
@@ -104,38 +134,15 @@ export class Pane {
       ...intermittency(scene.gas),
     };
     for (const [name, text] of Object.entries(facts)) setText(this.facts[name], text);
+    this.facts.flies.title = meaning;
+    setText(this.find(".mode-meaning"), meaning);
     this.find(".intermittency").hidden = !scene.gas;
-    mark(this.facts.advice, Boolean(scene.gas?.advised_dwell_s));
-    mark(this.facts.gps, /^no /.test(facts.gps));
-    mark(this.facts.health, !["ok", "–"].includes(facts.health));
-    const leads = LEADING.includes(scene.services.find(({ name }) => name === "uav")?.state);
-    if (leads !== this.leads) {
-      this.leads = leads;
-      this.drawButtons();
-    }
-    this.drawEnding(scene.ending);
-    this.map.draw(model);
-    this.drawLegend(scene, model.plume);
-    if (model.fresh.measurements || context.other?.fresh.measurements || context.redraw) this.charts.draw(model, context.other, context.last);
-    this.drawServices(scene.services);
-    if (context.moments) this.drawMoments(context.moments, context.at_s);
-    else if (model.fresh.happenings || context.redraw) this.drawHappenings(model.happenings);
-  }
-
-  drawEnding(ending) {
-    const place = this.find(".ending");
-    place.hidden = !ending;
-    if (!ending || place.dataset.verdict + place.dataset.text === ending.verdict + ending.text) return;
-    const [sign, words, level] = ENDINGS[ending.verdict] ?? ["■", ending.verdict, "calm"];
-    Object.assign(place.dataset, { level, verdict: ending.verdict, text: ending.text });
-    const mark = make("span", "sign", sign);
-    mark.setAttribute("aria-hidden", "true");
-    place.replaceChildren(mark, make("strong", "", words), " ", make("span", "", ending.text));
-  }
-
-  drawLegend({ truth }, plume) {
-    for (const item of this.root.querySelectorAll(".of-truth")) item.hidden = !truth || (item.matches(".of-plume") && !plume);
-    if (truth && plume) setText(this.find(".ramp-text"), `true gas: ${oneDigit(plume.most / 1000)} to ${oneDigit(plume.most)} g/m³, log scale`);
+    mark(this.facts.advice, scene.gas?.advised_dwell_s && "warn");
+    mark(this.facts.gps, /^no /.test(facts.gps) && "warn");
+    mark(this.facts.health, !["ok", "–"].includes(facts.health) && "warn");
+    mark(this.facts.battery, craft?.battery <= EMPTY && craft.battery !== null ? "bad" : craft?.battery <= LOW && craft.battery !== null && "warn");
+    mark(this.facts.link, silent >= SILENT_S ? "bad" : silent >= QUIET_S && "warn");
+    mark(this.facts.flies, flies.startsWith("pilot") && "warn");
   }
 
   drawServices(services) {
@@ -198,13 +205,6 @@ function happening(element, [time_s, level, who, text]) {
   return element;
 }
 
-/** What is left in the battery, as far as the vehicle says it. */
-function charge(craft) {
-  const share = Number.isFinite(craft?.battery) ? `${Math.round(100 * craft.battery)}%` : "";
-  const volts = Number.isFinite(craft?.volts) ? `${craft.volts.toFixed(1)} V` : "";
-  return [share, volts].filter(Boolean).join(", ") || "–";
-}
-
 /** How the gas comes and goes, by the belief. */
 function intermittency(gas) {
   const told = (name, digits, unit = "") => {
@@ -220,20 +220,7 @@ function intermittency(gas) {
   };
 }
 
-function mark(element, warns) {
-  if (warns) element.dataset.level = "warn";
+function mark(element, level) {
+  if (level) element.dataset.level = level;
   else delete element.dataset.level;
-}
-
-const oneDigit = (value) => String(Number(value.toPrecision(1)));
-
-/** `spread:0.5` for people. */
-function stopInWords(stop) {
-  const [kind, rest = ""] = (stop || "").split(":");
-  if (kind === "spread") return `${rest} m spread`;
-  if (kind === "within") {
-    const [radius, share] = rest.split(",");
-    return `${Math.round(100 * share)}% within ${radius} m`;
-  }
-  return stop || "–";
 }

@@ -1,6 +1,7 @@
 // The time line of records: scrub, play, step by reading, jump to events. It only says which moment is wanted.
 
-import { make, seconds, setText } from "./pane.js";
+import { marksOf } from "./charts.js";
+import { seconds, setText } from "./words.js";
 
 const SPEEDS = [1, 2, 5, 10, 20, 50];
 const AT_THE_SAME_TIME_S = 1e-6;
@@ -44,14 +45,10 @@ export class TimeLine {
   }
 
   drawMarks(records) {
-    const [begin, end] = this.span;
-    this.find("marks").replaceChildren(...records.flatMap((record, row) => (record.moments ?? []).map(([time_s, level]) => {
-      const mark = make("i");
-      mark.dataset.level = level;
-      mark.style.left = `${(100 * (time_s - begin)) / (end - begin || 1)}%`;
-      if (records.length > 1) mark.classList.add(row ? "lower" : "upper");
-      return mark;
-    })));
+    const rows = records.flatMap((record, row) => (record.moments ?? []).map((moment) => [moment, row]));
+    const tell = (words) => setText(this.find("mark-words"), words);
+    marksOf(this.find("marks"), rows.map(([moment]) => moment), this.span, tell, ([time_s]) => { this.pause(); this.go(time_s); });
+    if (records.length > 1) [...this.find("marks").children].forEach((mark, i) => mark.classList.add(rows[i][1] ? "lower" : "upper"));
   }
 
   /** Go to a time, kept within the span. */

@@ -21,7 +21,7 @@ def measurement(step: int, gas: float = 0.5) -> Measurement:
     return Measurement(step, 10.0 + step, (1.0 + step, 2.0), gas, 3.0, (5.0, 6.0), (4.0, 0.0, 1.0))
 
 
-UNSAID = {"battery": None, "volts": None, "gps": "", "health": ""}
+UNSAID = {"battery": None, "volts": None, "gps": "", "health": "", "speed_mps": None}
 SCENE = Scene(
     Backdrop("uav/1", 30.0, "homing, seed 1", RELEASE),
     time_s=12.5,
@@ -69,17 +69,23 @@ def test_a_scene_is_sent_in_full_at_first() -> None:
     assert header["threshold_m"] == 0.5
     assert (
         header["craft"]
-        == {"x": 1.5, "y": 2.5, "altitude_m": 5.0, "heading": 0.5, "mode": "OFFBOARD", "armed": True} | UNSAID
+        == {"x": 1.5, "y": 2.5, "altitude_m": 5.0, "heading": 0.5, "mode": "OFFBOARD", "armed": True}
+        | {"means": "OFFBOARD", "home_m": math.hypot(1.5, 2.5)}
+        | UNSAID
     )
     assert header["estimate"] == {
         "x": 5.0,
         "y": 6.0,
         "spread_m": 3.0,
+        "radius_95_m": None,
         "ellipse": [4.0, 2.0, 0.0],
     }  # 2 σ of variances 4 and 1 m²
     assert header["measurements"] == {
         "from": 0,
-        "rows": [[0, 10.0, 1.0, 2.0, 0.5, 3.0, 5.0, 6.0], [1, 11.0, 2.0, 2.0, 0.5, 3.0, 5.0, 6.0]],
+        "rows": [
+            [0, 10.0, 1.0, 2.0, 0.5, 3.0, 5.0, 6.0, *[None] * 6, 1.0, 0.0, None],
+            [1, 11.0, 2.0, 2.0, 0.5, 3.0, 5.0, 6.0, *[None] * 6, 1.0, 0.0, None],
+        ],
     }
     assert header["happenings"] == {"from": 0, "rows": [[1.0, "info", "uav", "armed"]]}
     assert header["truth"] is None
@@ -138,6 +144,37 @@ def test_another_mission_is_sent_from_its_beginning() -> None:
     assert len(arrays["particles"]) == 6
 
 
+def test_what_the_newest_columns_of_a_reading_say() -> None:
+    told = replace(
+        measurement(2),
+        radius_95_m=2.5,
+        wind=(1.0, -1.0),
+        rate=(1.0, 2.0, 4.0),
+        p_value=0.3,
+        evidence=7.0,
+        effective_sample_size=90.0,
+    )
+    header, _ = sent(replace(SCENE, measurements=[told]), Sent())
+    assert header["measurements"]["rows"][0][8:] == [2.5, 1.0, -1.0, 1.0, 2.0, 4.0, 0.3, 7.0, 90.0]
+    assert header["estimate"]["radius_95_m"] == 2.5
+    assert header["state"]["text"].startswith("Searching: the source is within 2.5 m of the cross (95%)")
+
+
+def test_a_vehicle_aside_is_sent_without_particles_and_with_them_once_it_is_in_the_middle() -> None:
+    cursor = Sent()
+    _, arrays = sent(SCENE, cursor, aside=True)
+    assert set(arrays) == {"track"}
+    _, arrays = sent(SCENE, cursor)
+    assert arrays["particles"] == [1, 2, 0.25, 3, 4, 0.75]
+
+
+def test_walls_are_sent_once() -> None:
+    walled = replace(SCENE, backdrop=replace(SCENE.backdrop, walls=(((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),)))
+    cursor = Sent()
+    assert sent(walled, cursor)[0]["walls"] == [[[0, 0], [1, 0], [1, 1]]]
+    assert sent(walled, cursor)[0]["walls"] is None
+
+
 def test_the_truth_is_sent_once_and_only_when_asked_for() -> None:
     cursor = Sent()
     assert "plume" not in sent(SCENE, cursor)[1]
@@ -179,6 +216,7 @@ def test_what_the_vehicle_says_of_itself_is_sent() -> None:
     condition = Condition(battery=0.5, volts=15.1, gps="no fix", ailing=("gps",), placed=False)
     craft = sent(replace(SCENE, craft=Craft(0.0, (1.0, 2.0), condition=condition)), Sent())[0]["craft"]
     assert {name: craft[name] for name in UNSAID} == {
+        "speed_mps": None,
         "battery": 0.5,
         "volts": 15.1,
         "gps": "no fix",
