@@ -43,11 +43,6 @@ class AreaFrame:
         self._newest_home: Fix | None = None
 
     @property
-    def home(self) -> Fix | None:
-        """Home, which is the area's corner; None before the vehicle has told it."""
-        return self._home
-
-    @property
     def corner(self) -> Ned | None:
         """Home in the vehicle's own frame; None while that is not known."""
         if self._origin and self._home:
@@ -56,7 +51,7 @@ class AreaFrame:
 
     @property
     def home(self) -> Fix | None:
-        """The corner as a fix: latitude and longitude, degrees, and altitude above sea, m."""
+        """Home, the area's corner: latitude and longitude, degrees, and altitude, m; None if not told."""
         return self._home
 
     def take(self, message_id: int, fields: dict[str, Any]) -> bool:
