@@ -27,7 +27,7 @@ KG_H = 3.6  # kg/h of a g/s
 MOVES_PER_E = 7.7
 
 
-class State(NamedTuple):
+class Situation(NamedTuple):
     """How the search is."""
 
     kind: str  # waiting, searching, doubtful, paused, pilot, returning, landed, lost, stuck, found, false, …
@@ -39,7 +39,7 @@ class State(NamedTuple):
     seconds_left: float | None = None  # of simulation time, for those moves
 
 
-def state_of(scene: Scene) -> State:
+def state_of(scene: Scene) -> Situation:
     """Return how the search is at this moment."""
     kind, level, text = _said(scene)
     notes = tuple(note for note in notes_of(scene) if note not in text)
@@ -50,7 +50,7 @@ def state_of(scene: Scene) -> State:
     leg_s = _leg_s(scene.measurements)
     left_s = None if moves is None or leg_s is None else moves * leg_s
     copy = _decimal(scene) if kind in ("found", "false") else ""
-    return State(kind, level, text, notes, copy, moves, left_s)
+    return Situation(kind, level, text, notes, copy, moves, left_s)
 
 
 def meaning(mode: str) -> str:
