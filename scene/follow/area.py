@@ -49,6 +49,11 @@ class AreaFrame:
             return home_from(self._origin, self._home)
         return None if self._origin or self._autopilot == ARDUPILOT else (0.0, 0.0, 0.0)
 
+    @property
+    def home(self) -> Fix | None:
+        """The area's corner on earth; None while the vehicle has not told it."""
+        return self._home
+
     def take(self, message_id: int, fields: dict[str, Any]) -> bool:
         """Take one of the `PLACING` messages of the vehicle's autopilot.
 

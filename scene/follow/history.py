@@ -18,7 +18,7 @@ from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
 from link.record.reader import Recording
 from link.record.record import HEALTH_PREFIX, began_s
-from scene.follow.area import HEARTBEAT, PLACING, AreaFrame
+from scene.follow.area import HEARTBEAT, PLACING, AreaFrame, Fix
 from scene.follow.described import WindTurn, backdrop_of, turns_of
 from scene.follow.parts import LONGEST, Parts
 from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, frames, level_of, seen, waypoint
@@ -247,6 +247,11 @@ class History:
     def begin_s(self) -> float:
         """Simulation time at which the vehicle was first heard; 0 if it was started then."""
         return began_s(self._crafts.times_s)
+
+    @property
+    def home(self) -> Fix | None:
+        """The area's corner: latitude and longitude, degrees, and altitude above sea, m; None if unknown."""
+        return self._area.home
 
     def at(self, time_s: float = math.inf, wall_s: float | None = None) -> Scene:
         """Return the scene at a simulation time, by default the newest.
