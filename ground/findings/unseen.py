@@ -112,9 +112,12 @@ def smallest_rate(supposed: "Supposed", place: tuple[float, float]) -> float:
 class Supposed:
     """The flown track, with what the last belief says of all but the source: K draws from it."""
 
-    def __init__(self, flight: Flight, sensor: Sensor, spikes: float, flights: int, every: int) -> None:
+    def __init__(
+        self, flight: Flight, sensor: Sensor, spikes: float, flights: int, every: int = 1, seed: int = 0
+    ) -> None:
+        """Draw `flights` of them; every `every`th reading counts."""
         last, samples = flight.last, flight.samples[::every]
-        rng = np.random.default_rng(0)
+        rng = np.random.default_rng(seed)
         drawn: dict[str, Array] = {}
         if flight.particles is not None:
             weights = flight.particles[:, -1].astype(np.float64)
@@ -165,7 +168,7 @@ class SupposedSource:
     def __init__(self, supposed: Supposed, place: tuple[float, float]) -> None:
         self._of = supposed
         self._means = self._unit_means(place)  # (T, K), of 1 g/s, times the gain
-        squares = self._squares(place)
+        self.squares = squares = self._squares(place)  # squared coefficient of variation of the gas, (T, K)
         blank = BLANK * squares / (1 + squares)
         self._there, self._square = 1 / (1 - blank), (1 - blank) * (1 + squares) - 1
         self._blank = blank
