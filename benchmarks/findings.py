@@ -4,16 +4,16 @@
     python -m benchmarks.findings --missions 100 --world wind-30
     python -m benchmarks.findings --missing         # only the smallest rates of flights that found nothing
 
-Missions are flown in-process with `homing`, `field` and at most 600 steps, from the test seeds. At the stop the
-region and the interval are those of the findings: ellipse, contour of the particles, and the rate's quantiles.
-The rate counts relative to the diffusivity, which is told, and to the sensor's gain, which no reading tells from
-it: the true one is q · gain · d as told / d. Rows are in results/findings/, a row a mission; both tables of
-docs/findings.md are made from them.
+Missions are flown in-process with `homing`, `field` and at most 600 steps, from the test seeds. At the stop
+the region and the interval are those of the findings: ellipse, contour of the particles, and the rate's
+quantiles. The rate counts relative to the diffusivity, which is told, and to the sensor's gain, which no
+reading tells from it: the true one is q · gain · d as told / d. Rows are in results/findings/, a row a
+mission; both tables of docs/findings.md are made from them.
 
-The second table is of flights along which there is no gas. At places of the area a source has the smallest rate
-that the findings name there. Its readings along the flown track are drawn by other code than the findings':
-physics and sensor of `plume`, gamma-distributed gas as of the worlds, and wind, lifetime, noise and
-intermittency drawn from the flight's last belief. It counts how often the likelihood sees it, as the findings
+The second table is of flights along which there is no gas. At places of the area a source has the smallest
+rate that the findings name there. Its readings along the flown track are drawn by other code than the
+findings': physics and sensor of `plume`, gamma-distributed gas as of the worlds, and wind, lifetime, noise
+and intermittency drawn from the flight's last belief. It counts how often the likelihood sees it, as the findings
 promise, and how often the estimator itself, told that rate, finds that a plume is needed.
 """
 
@@ -35,16 +35,16 @@ from agent.trials.rollout import ALTITUDE_M, mission
 from benchmarks.pages import placed, table
 from estimator.belief import CLEAR, belief, evidence
 from estimator.filter import Config, assimilate, prior
-from ground.findings.assumed import SPIKES, Told
+from ground.findings.assumed import SPIKES
 from ground.findings.flight import Flight, Sample
 from ground.findings.region import CHI2_95, contour_95, places_of
 from ground.findings.unseen import FLIGHTS, Supposed, smallest_rate
 from link import cli
 from link.bus.mavlink import Reading
 from link.files import whole
-from plume.credible import interval
 from plume.dispersion import concentration
 from plume.elementary import Array
+from plume.outcome import interval
 from plume.randomness import derived_seed
 from plume.scenario import AREA_M, draw
 from plume.sensors.names import GAUSSIAN
@@ -174,9 +174,7 @@ def flown_in_clean_air(seed: int) -> Flight:
     )
 
 
-def drawn(
-    supposed: Supposed, place: tuple[float, float], rate: float, rng: np.random.Generator
-) -> Array:
+def drawn(supposed: Supposed, place: tuple[float, float], rate: float, rng: np.random.Generator) -> Array:
     """Draw readings (T, K) of a source by the physics of `plume` and gas as of the worlds."""
     of, (count, draws) = supposed.of, supposed.winds.shape[:2]
     result = np.empty((count, draws))
@@ -199,9 +197,7 @@ def drawn(
 def needs_a_plume(flight: Flight, readings: Array, rate: float, seed: int) -> bool:
     """Whether the estimator, told this rate, would have needed a plume to explain readings (T,)."""
     last = flight.last
-    config = Config(
-        PARTICLES, THRESHOLD_M, seed, rate, last.diffusivity, draw(seed).tau, assume="field"
-    )
+    config = Config(PARTICLES, THRESHOLD_M, seed, rate, last.diffusivity, draw(seed).tau, assume="field")
     posterior = prior(config)
     for sample, gas in zip(flight.samples, readings.tolist(), strict=True):
         reading = Reading(sample.step, sample.place, ALTITUDE_M, sample.wind, float(np.float32(gas)))
@@ -246,7 +242,13 @@ def visibility(rows: Sequence[Unseen]) -> str:
         ("the estimator, told this rate", sum(r.needed for r in rows), sum(r.judged for r in rows)),
     ):
         lines.append(
-            [what, f"{len({r.seed for r in rows})}", f"{len(rows):,}", f"{of:,}", wilson(seen, of).text(100.0, 1)]
+            [
+                what,
+                f"{len({r.seed for r in rows})}",
+                f"{len(rows):,}",
+                f"{of:,}",
+                wilson(seen, of).text(100.0, 1),
+            ]
         )
     return table(["seen by", "flights", "places", "sources", "seen, %"], lines)
 
@@ -271,7 +273,10 @@ def write_rows(path: Path, rows: Sequence[msgspec.Struct]) -> None:
         writer.writeheader()
         for row in rows:
             writer.writerow(
-                {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in msgspec.structs.asdict(row).items()}
+                {
+                    name: f"{value:.6g}" if isinstance(value, float) else value
+                    for name, value in msgspec.structs.asdict(row).items()
+                }
             )
 
 
@@ -290,7 +295,11 @@ def main() -> None:
     )
     parser.add_argument("--missing", action="store_true", help="only the flights that find nothing")
     parser.add_argument(
-        "--flights", type=cli.whole(1, 100_000), default=30, metavar="N", help="that find nothing (default: 30)"
+        "--flights",
+        type=cli.whole(1, 100_000),
+        default=30,
+        metavar="N",
+        help="that find nothing (default: 30)",
     )
     parser.add_argument("--workers", type=cli.whole(1, 64), default=2, metavar="W", help="(default: 2)")
     parser.add_argument("--results", type=Path, default=RESULTS, metavar="DIR", help="(default: %(default)s)")

@@ -7,7 +7,7 @@ import numpy as np
 
 from estimator.filter import Config, Posterior
 from estimator.kernels.gas import cvs_downwind
-from plume import credible
+from plume import elementary
 from plume.elementary import Array
 from plume.sensors.names import Sensor, lags
 
@@ -47,7 +47,7 @@ def intermittency(posterior: Posterior, config: Config) -> dict[str, Quantiles]:
 
 def quantiles(values: Array, weights: Array) -> Quantiles:
     """Return the weighted quantiles of values (N,) at `LEVELS`; weights (N,) up to 1 each."""
-    low, middle, high = credible.quantiles(values, weights, LEVELS)
+    low, middle, high = elementary.quantiles(values, weights, LEVELS)
     return low, middle, high
 
 

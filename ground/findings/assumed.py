@@ -11,8 +11,8 @@ from plume.sensors.instruments import Instrument
 from plume.sensors.names import Sensor, fluctuates
 from plume.sensors.sensor import Gaussian, Hits, Threshold
 
-# The priors of `field`, as `estimator/assumptions.py` has them; a test holds them equal. q and tau are medians
-# by what is told.
+# The priors of `field`, as `estimator/assumptions.py` has them; a test holds them equal. The medians of q and
+# tau are what is told.
 RATE_SIGMA = LIFETIME_SIGMA = 0.7
 FIELD: Mapping[str, str] = {
     "q": f"lognormal:{{rate}},{RATE_SIGMA}",
@@ -217,7 +217,5 @@ def stop_text(stop: str) -> str:
     if kind == "spread" and numbers:
         return f"the spread of the belief is below {_short(values[0])} m"
     if kind == "within" and len(values) == 2 and (share := _number(values[1])) is not None:
-        return (
-            f"at least {100 * share:.6g}% of the belief lies within {_short(values[0])} m of the estimate"
-        )
+        return f"at least {100 * share:.6g}% of the belief lies within {_short(values[0])} m of the estimate"
     return "the spread of the belief is below a threshold" if kind == "spread" else stop

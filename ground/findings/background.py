@@ -1,7 +1,7 @@
 """A background of the map: an image of the user's with its place on earth, or a GeoTIFF.
 
-Where an image lies is said by a GeoTIFF's own tags, a world file beside it (`site.pgw`, `site.jgw`, `site.wld`;
-degrees of WGS84), or the corners that the user gives.
+Where an image lies is said by a GeoTIFF's own tags, a world file beside it (`site.pgw`, `site.jgw`,
+`site.wld`; degrees of WGS84), or the edges that the user gives.
 """
 
 import base64
@@ -48,8 +48,8 @@ def background(
 ) -> Background:
     """Read an image and place it. Raises BackgroundError.
 
-    home: latitude and longitude of the plane's corner, degrees. bounds: west, south, east and north edge of the
-    image, degrees; None where the image says so itself.
+    home: latitude and longitude of the plane's corner, degrees. bounds: west, south, east and north edge
+    of the image, degrees; None where the image says so itself.
     """
     try:
         from PIL import Image
@@ -87,7 +87,7 @@ def _picture(image: Any) -> tuple[str, tuple[int, int]]:
 def _affine(corners: Sequence[Sequence[float]], size: tuple[int, int]) -> Affine:
     """Return the map from pixels to the plane that takes three corners where they are.
 
-    corners: upper left, upper right and lower left, (x, y) m. Over some kilometres it is right to centimetres.
+    corners: upper left, upper right and lower left, (x, y) m. Over a kilometre it is right to centimetres.
     """
     (x0, y0), (x1, y1), (x2, y2) = corners
     width, height = size
@@ -163,8 +163,8 @@ def _projection(path: Path, tags: dict[int, Any]) -> Any:
         number, is_south = zone
         return lambda x, y: from_utm(number, is_south, x, y)
     raise BackgroundError(
-        f"{path} has the reference system {f'EPSG:{code}' if code else 'of nobody'}; wanted WGS84 (EPSG:4326), "
-        "UTM (EPSG:326.., 327.., 258..) or Web Mercator (EPSG:3857)"
+        f"{path} has the reference system {f'EPSG:{code}' if code else 'of nobody'}; wanted WGS84 "
+        "(EPSG:4326), UTM (EPSG:326.., 327.., 258..) or Web Mercator (EPSG:3857)"
     )
 
 
@@ -185,7 +185,10 @@ def from_utm(zone: int, is_south: bool, x: float, y: float) -> tuple[float, floa
     """Return latitude and longitude, degrees, of UTM's easting and northing, m (Krüger 1912, to n³)."""
     n = FLATTENING / (2 - FLATTENING)
     radius = SEMI_MAJOR_M / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
-    xi, eta = (y - (10_000_000.0 if is_south else 0.0)) / (0.9996 * radius), (x - 500_000.0) / (0.9996 * radius)
+    xi, eta = (
+        (y - (10_000_000.0 if is_south else 0.0)) / (0.9996 * radius),
+        (x - 500_000.0) / (0.9996 * radius),
+    )
     betas = (n / 2 - 2 * n**2 / 3 + 37 * n**3 / 96, n**2 / 48 + n**3 / 15, 17 * n**3 / 480)
     deltas = (2 * n - 2 * n**2 / 3 - 2 * n**3, 7 * n**2 / 3 - 8 * n**3 / 5, 56 * n**3 / 15)
     north, east = xi, eta

@@ -78,7 +78,6 @@ def near_map(it: Findings) -> str:
     if it.contour:
         places = np.concatenate(it.contour.rings)
         half = max(half, 1.15 * float(np.abs(places - np.array([x, y])).max()))
-    half = min(half, 2 * it.area_m)
     view = View(x - half, y - half, x + half, y + half)
     parts = [*_ground(view, None), _area(view, it), *_particles(view, it), *_region(view, it)]
     return _drawing(view, "Map of the estimate and its 95% region", parts, _compass(view, it))
@@ -100,11 +99,12 @@ def rates_map(it: Findings) -> str:
             colour = _colour(RATES, _log_share(rate, low, high)) if math.isfinite(rate) else NEVER
             told = f"{significant(rate, 2)} g/s" if math.isfinite(rate) else "at no rate"
             cells.append(
-                f'<rect x="{view.x(x) - size / 2:.1f}" y="{view.y(y) - size / 2:.1f}" width="{size + 0.3:.1f}" '
-                f'height="{size + 0.3:.1f}" fill="{colour}"><title>{told}</title></rect>'
+                f'<rect x="{view.x(x) - size / 2:.1f}" y="{view.y(y) - size / 2:.1f}" '
+                f'width="{size + 0.3:.1f}" height="{size + 0.3:.1f}" fill="{colour}">'
+                f"<title>{told}</title></rect>"
             )
     parts = [*cells, *_grid(view), _area(view, it), _track(view, it)]
-    legend = _legend(view, RATES, low, high, "g/s, seen with 90%", _log_share)
+    legend = _legend(view, RATES, low, high, "rate, g/s", _log_share)
     return _drawing(view, "Map of the smallest rates", parts, [*legend, *_compass(view, it)])
 
 
@@ -130,9 +130,8 @@ def _view(it: Findings) -> View:
 
 def _drawing(view: View, title: str, inside: Iterable[str], outside: Iterable[str]) -> str:
     name = title.lower().replace(" ", "-").replace("%", "")
-    box = (
-        f'x="{LEFT}" y="{ABOVE}" width="{WIDTH - LEFT - RIGHT:.1f}" height="{view.height - ABOVE - BELOW:.1f}"'
-    )
+    width, height = WIDTH - LEFT - RIGHT, view.height - ABOVE - BELOW
+    box = f'x="{LEFT}" y="{ABOVE}" width="{width:.1f}" height="{height:.1f}"'
     return (
         f'<svg viewBox="0 0 {WIDTH:.0f} {view.height:.0f}" role="img" aria-label="{escape(title)}" '
         f'xmlns="http://www.w3.org/2000/svg" font-family="system-ui, sans-serif" font-size="11">\n'
@@ -186,9 +185,7 @@ def _grid(view: View) -> list[str]:
 
 def _axes(view: View) -> list[str]:
     step, bottom = _step(view), view.height - BELOW
-    texts = [
-        _text(view.x(x), bottom + 14, f"{x:.10g}", "middle") for x in _ticks(view.west, view.east, step)
-    ]
+    texts = [_text(view.x(x), bottom + 14, f"{x:.10g}", "middle") for x in _ticks(view.west, view.east, step)]
     texts += [
         _text(LEFT - 5, view.y(y) + 4, f"{y:.10g}", "end") for y in _ticks(view.south, view.north, step)
     ]
@@ -202,9 +199,8 @@ def _axes(view: View) -> list[str]:
 
 
 def _text(x: float, y: float, text: str, anchor: str = "start", colour: str = FAINT) -> str:
-    return (
-        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}">{escape(printable(text))}</text>'
-    )
+    words = escape(printable(text))
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}">{words}</text>'
 
 
 def _scale_bar(view: View) -> str:
@@ -248,7 +244,10 @@ def _track(view: View, it: Findings) -> str:
     if len(track) < 2:
         return ""
     places = track[:: -(-len(track) // MOST_POINTS)].tolist()
-    return f'<path d="M{view.path(places)}" fill="none" stroke="{TRACK}" stroke-width="1.2" stroke-opacity="0.7"/>'
+    return (
+        f'<path d="M{view.path(places)}" fill="none" stroke="{TRACK}" stroke-width="1.2" '
+        'stroke-opacity="0.7"/>'
+    )
 
 
 def _readings(view: View, it: Findings) -> list[str]:
@@ -257,8 +256,8 @@ def _readings(view: View, it: Findings) -> list[str]:
     low, high = min(gas), max(gas)
     return [
         f'<circle cx="{view.x(sample.place[0]):.1f}" cy="{view.y(sample.place[1]):.1f}" r="4" stroke="{INK}" '
-        f'stroke-width="0.6" fill="{_colour(GAS, _root(sample.gas, low, high))}"><title>reading {sample.step}: '
-        f"{sample.gas:.4g} {escape(it.unit)}</title></circle>"
+        f'stroke-width="0.6" fill="{_colour(GAS, _root(sample.gas, low, high))}">'
+        f"<title>reading {sample.step}: {sample.gas:.4g} {escape(it.unit)}</title></circle>"
         for sample in samples
     ]
 

@@ -24,8 +24,8 @@ def _bounds(text: str) -> tuple[float, float, float, float]:
         west = south = east = north = math.nan
     if not (-180 <= west <= 180 and -180 <= east <= 180 and west < east and -90 <= south < north <= 90):
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not allowed; wanted WEST,SOUTH,EAST,NORTH in degrees, WEST below EAST and SOUTH below "
-            "NORTH"
+            f"{text!r} is not allowed; wanted WEST,SOUTH,EAST,NORTH in degrees, WEST below EAST and "
+            "SOUTH below NORTH"
         )
     return west, south, east, north
 
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--background",
         type=Path,
         metavar="IMAGE",
-        help="picture under the map: a GeoTIFF, or a PNG or JPEG with a world file beside it or with --bounds",
+        help="picture under the map: a GeoTIFF, or a PNG or JPEG with a world file beside it or --bounds",
     )
     parser.add_argument(
         "--bounds",
@@ -58,7 +58,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the documents; returns the exit status: 1 if pieces of the record are missing. Raises BadInput."""
+    """Write the documents; returns the exit status: 1 if pieces of the record are missing.
+
+    Raises BadInput.
+    """
     if args.bounds and not args.background:
         raise cli.BadInput("--bounds: only with --background")
     folder = args.out or args.log.with_name(f"{args.log.stem}-findings")
@@ -66,8 +69,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         if not is_record(args.log):
             raise cli.BadInput(
-                f"{args.log} is not a record of a search; of a log of an autopilot `plumeward replay {args.log} "
-                "--findings DIR` makes findings"
+                f"{args.log} is not a record of a search; of a log of an autopilot `plumeward replay "
+                f"{args.log} --findings DIR` makes findings"
             )
         flight = flight_of(args.log)
     except RecordError as error:

@@ -5,6 +5,7 @@ import io
 import json
 import math
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Any
 from xml.sax.saxutils import escape
 
@@ -98,9 +99,7 @@ def _point(it: Findings, place: Sequence[float]) -> dict[str, Any] | None:
 
 
 def _line(it: Findings, places: Sequence[Sequence[float]]) -> dict[str, Any] | None:
-    return (
-        None if it.flight.home is None else {"type": "LineString", "coordinates": _positions(it, places)}
-    )
+    return None if it.flight.home is None else {"type": "LineString", "coordinates": _positions(it, places)}
 
 
 def _polygons(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> dict[str, Any] | None:
@@ -126,13 +125,13 @@ def grouped(rings: Sequence[Sequence[Sequence[float]]]) -> list[list[Sequence[Se
 
 
 def _twice_area(ring: Sequence[Sequence[float]]) -> float:
-    return math.fsum(a[0] * b[1] - b[0] * a[1] for a, b in zip(ring, ring[1:], strict=False))
+    return math.fsum(a[0] * b[1] - b[0] * a[1] for a, b in pairwise(ring))
 
 
 def _is_within(place: Sequence[float], ring: Sequence[Sequence[float]]) -> bool:
     x, y = place
     crossings = 0
-    for (x0, y0), (x1, y1) in zip(ring, ring[1:], strict=False):
+    for (x0, y0), (x1, y1) in pairwise(ring):
         if (y0 > y) != (y1 > y) and x < x0 + (y - y0) * (x1 - x0) / (y1 - y0):
             crossings += 1
     return crossings % 2 == 1
@@ -157,7 +156,8 @@ KML_STYLES = {
     "source": "<IconStyle><color>ff005ed5</color></IconStyle>",
     "region": "<LineStyle><color>ffb27200</color><width>2</width></LineStyle>"
     "<PolyStyle><color>33b27200</color></PolyStyle>",
-    "area": "<LineStyle><color>ff7d6b5b</color><width>1</width></LineStyle><PolyStyle><fill>0</fill></PolyStyle>",
+    "area": "<LineStyle><color>ff7d6b5b</color><width>1</width></LineStyle>"
+    "<PolyStyle><fill>0</fill></PolyStyle>",
     "track": "<LineStyle><color>ff292119</color><width>2</width></LineStyle>",
     "reading": "<IconStyle><color>ff009fe6</color><scale>0.4</scale></IconStyle>"
     "<LabelStyle><scale>0</scale></LabelStyle>",
@@ -171,9 +171,7 @@ def kml(it: Findings) -> str:
     if it.flight.home is not None:
         marks += [
             _placemark("source", "Source (estimate)", source, _kml_point(it, it.last.mean)),
-            _placemark(
-                "region", "95% region: ellipse", "", _kml_polygon(it, [it.ellipse.outline.tolist()])
-            ),
+            _placemark("region", "95% region: ellipse", "", _kml_polygon(it, [it.ellipse.outline.tolist()])),
         ]
         if it.contour:
             for rings in grouped([ring.tolist() for ring in it.contour.rings]):
@@ -182,7 +180,8 @@ def kml(it: Findings) -> str:
         square = [[0.0, 0.0], [side, 0.0], [side, side], [0.0, side], [0.0, 0.0]]
         marks.append(_placemark("area", "Search area", "", _kml_polygon(it, [square])))
         if len(it.flight.track) > 1:
-            line = f"<LineString><tessellate>1</tessellate>{_coordinates(it, it.flight.track.tolist())}</LineString>"
+            places = _coordinates(it, it.flight.track.tolist())
+            line = f"<LineString><tessellate>1</tessellate>{places}</LineString>"
             marks.append(_placemark("track", "Track", "", line))
         marks += [
             _placemark(
@@ -335,4 +334,3 @@ def cell(value: Any) -> Any:
 def figures_json(it: Findings) -> str:
     """Return all figures as one JSON object."""
     return json.dumps(_finite(as_json(it)), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-

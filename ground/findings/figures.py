@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import msgspec
@@ -19,9 +20,8 @@ from ground.findings.unseen import Smallest, smallest_rates
 from ground.findings.verdict import DOUBTFUL, NOT_FOUND, OUTSIDE, Verdict, verdict
 from link.bus.messages import Belief
 from plume import __version__
-from plume.credible import interval
 from plume.geodesy import to_global
-from plume.outcome import gas_lines
+from plume.outcome import gas_lines, interval
 from plume.scenario import AREA_M, Scenario
 from scene.scene import Point
 
@@ -308,7 +308,7 @@ def simulated_source(it: Findings) -> Point | None:
 
 def _distance(samples: Sequence[Sample]) -> float:
     places: list[Point] = [sample.place for sample in samples]
-    return math.fsum(math.dist(a, b) for a, b in zip(places, places[1:], strict=False))
+    return math.fsum(math.dist(a, b) for a, b in pairwise(places))
 
 
 def _ends(it: Ranged) -> list[float] | None:

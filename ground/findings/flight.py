@@ -86,11 +86,20 @@ def sha256_of(path: Path) -> str:
 def flight_of(path: Path) -> Flight | None:
     """Return what a record tells; None if it has no belief that can be read. Raises RecordError."""
     recording = read(path)
-    return gathered(recording, path, sha256_of(path))
+    return gathered(recording, path)
 
 
-def gathered(recording: Recording, path: Path, sha256: str) -> Flight | None:
-    """Return the last mission of what was recorded; None if there is no belief that can be read."""
+def home_of(recording: Recording) -> tuple[Home | None, str]:
+    """Return where the area's corner is by a record, and who says so."""
+    return _home(history_of(recording), recording.about)
+
+
+def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = None) -> Flight | None:
+    """Return the last mission of what was recorded; None if there is no belief that can be read.
+
+    replayed_at: corner of the area, where the record is of another vehicle's log, whose own frame is another.
+    path: the file of the record, or of the log.
+    """
     beliefs = _beliefs(recording.entries)
     if not beliefs:
         return None
@@ -103,24 +112,28 @@ def gathered(recording: Recording, path: Path, sha256: str) -> Flight | None:
     except ValueError:
         particles = None
     home, home_by = _home(history, recording.about)
+    if replayed_at:
+        home, home_by = replayed_at, "the log"
     scene = history.at()
     clock = _Clock(recording.entries)
-    warnings = [
+    said = (
         Said(clock.utc_ns(it.time_s), it.who, it.text)
         for it in scene.happenings
         if it.level in (WARNING, ERROR)
-    ]
+    )
+    warnings = [*{(it.utc_ns // NS, it.who, it.text): it for it in said}.values()]  # one a second
     budget = recording.about.get("budget")
     return Flight(
         path=path,
-        sha256=sha256,
+        sha256=sha256_of(path),
         about=recording.about,
         home=home,
         home_by=home_by,
         samples=samples,
         last=last,
         particles=particles,
-        track=scene.track,
+        # The vehicle's own frame begins elsewhere than the area of a log.
+        track=np.array([it.place for it in samples], np.float32) if replayed_at else scene.track,
         warnings=warnings,
         estimator_warned=[it for it in warnings if it.who == "estimator"],
         remark=remark_on(recording, history),

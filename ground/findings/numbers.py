@@ -43,9 +43,11 @@ def significant(value: float, digits: int = 3) -> str:
     if not math.isfinite(value):
         return "unknown"
     number = float(f"{value:.{digits}g}")
-    return f"{number:,.{max(digits - 1 - math.floor(math.log10(abs(number))), 0)}f}" if (
-        number and 1e-4 <= abs(number) < 1e7
-    ) else f"{number:g}"
+    return (
+        f"{number:,.{max(digits - 1 - math.floor(math.log10(abs(number))), 0)}f}"
+        if (number and 1e-4 <= abs(number) < 1e7)
+        else f"{number:g}"
+    )
 
 
 def degree_decimals(spread_m: float) -> int:

@@ -85,7 +85,7 @@ class Contour95(NamedTuple):
 
 
 def contour_95(places: Array, weights: Array) -> Contour95 | None:
-    """Return the 95% contour of particles at places (N, 2) m with weights (N,); None if they are on a line."""
+    """Return the 95% contour of particles at places (N, 2) m with weights (N,); None on a line."""
     weights = np.asarray(weights, np.float64) / np.sum(weights, dtype=np.float64)
     mean = weights @ places
     offsets = places - mean

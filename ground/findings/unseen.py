@@ -78,8 +78,8 @@ class Smallest(NamedTuple):
 
 
 METHOD = (
-    f"by the likelihood: {FLIGHTS} flights along the flown track simulated for each place; a source counts as "
-    f"seen if the readings are more probable with it than in clean air by {CLEAR:g} nats"
+    f"by the likelihood: {FLIGHTS} flights along the flown track simulated for each place; a source counts "
+    f"as seen if the readings are more probable with it than in clean air by {CLEAR:g} nats"
 )
 
 
@@ -197,7 +197,7 @@ class SupposedSource:
         return np.minimum(read, sensor.saturation) if isinstance(sensor, Instrument) else read
 
     def advantages(self, readings: Array, rate: float) -> Array:
-        """Return by how many nats readings (T, K) are more probable with the source than in clean air, (K,)."""
+        """Return by how many nats readings (T, K) are more probable with it than in clean air, (K,)."""
         spikes = self._of.spikes
         with_it = (1 - spikes) * self._density(readings, rate * self._means)
         without = (1 - spikes) * self._density(readings, np.zeros_like(self._means))
@@ -276,9 +276,7 @@ class SupposedSource:
         if np.isinf(of.of["puff-rate"]).all():
             return np.minimum(squares, GREATEST_SQUARE)
         d, tau, share = of.of["d"], of.of["tau"], of.of["puff-share"]
-        strength = (
-            d * np.sqrt((1 - 0.5 * share) / share**3) / (math.pi * math.sqrt(2) * of.of["puff-rate"])
-        )
+        strength = d * np.sqrt((1 - 0.5 * share) / share**3) / (math.pi * math.sqrt(2) * of.of["puff-rate"])
         offsets = self._offsets(place)
         square = np.maximum(np.square(offsets).sum(axis=-1), SOURCE_RADIUS_M**2)
         distance, width = np.sqrt(square), 1 / (2 - share)
@@ -327,7 +325,7 @@ def _of_counts(counts: Array, expected: Array) -> Array:
 
 
 def _inverse_gaussian(square: Array, normals: Array, uniforms: Array) -> Array:
-    """Draw from the inverse Gaussian law of mean 1 and squared coefficient of variation (Michael et al. 1976)."""
+    """Draw from the inverse Gaussian law of mean 1 and a squared cv (Michael et al. 1976)."""
     chi = np.square(normals)
     half = 0.5 * square * chi
     low = 1 / (1 + half + np.sqrt(half * (2 + half)))

@@ -74,8 +74,8 @@ def _doubts(flight: Flight, told: Told) -> tuple[str, ...]:
     ]
     if isinstance(told.sensor, Instrument) and told.sensor.air:
         doubts.append(
-            "the sensor is a metal oxide, whose gas is taken to be steady: in gusty gas up to a fifth of such "
-            "stops are false"
+            "the sensor is a metal oxide, whose gas is taken to be steady: in gusty gas up to a fifth of "
+            "such stops are false"
         )
     elif last.advised_dwell > 0:
         doubts.append(

@@ -73,6 +73,7 @@ class Source(NamedTuple):
     world: str = AS_MODELLED  # how the truth differs from what the estimator was told; as modelled if unknown
     area_m: float = AREA_M  # side of the search area
     notes: tuple[str, ...] = ()  # remarks on the log, one line each
+    home: tuple[float, float] | None = None  # latitude and longitude of a log's area's corner, degrees
 
 
 class _Release(msgspec.Struct, frozen=True):
@@ -180,6 +181,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
             "lifetime": told.tau,
             "sensor": sensor.text(world.sensor),
         }
+    lat, lon = flown.origin.lat_deg, flown.origin.lon_deg
     estimator = settings.as_words({**known, **filtering, "sysid": flown.system, "area": flown.area_m})
     return Source(
         path,
@@ -192,6 +194,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         world=world.name if world else AS_MODELLED,
         area_m=flown.area_m,
         notes=tuple(flown.notes),
+        home=None if lat is None or lon is None else (lat, lon),
     )
 
 
