@@ -13,8 +13,8 @@ mission; both tables of docs/findings.md are made from them.
 The second table is of flights along which there is no gas. At places of the area a source has the smallest
 rate that the findings name there. Its readings along the flown track are drawn by other code than the
 findings': physics and sensor of `plume`, gamma-distributed gas as of the worlds, and wind, lifetime, noise
-and intermittency drawn from the flight's last belief. It counts how often the likelihood sees it, as the findings
-promise, and how often the estimator itself, told that rate, finds that a plume is needed.
+and intermittency drawn from the flight's last belief. It counts how often the likelihood sees it, as the
+findings promise, and how often the estimator itself, told that rate, finds that a plume is needed.
 """
 
 import csv
@@ -22,7 +22,7 @@ import math
 from collections.abc import Sequence
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -87,6 +87,9 @@ class Unseen(msgspec.Struct, frozen=True):
     needed: int  # times that the estimator's own evidence says that a plume is needed
 
 
+Row = TypeVar("Row", Covered, Unseen)
+
+
 class Cell(NamedTuple):
     """A mission to fly."""
 
@@ -127,9 +130,10 @@ def miss(seed: int) -> list[Unseen]:
     flight = flown_in_clean_air(seed)
     rng = np.random.default_rng([seed, 1])
     supposed = Supposed(flight, GAUSSIAN, SPIKES["field"], FLIGHTS, 1)
-    found = []
+    found: list[Unseen] = []
     while len(found) < PLACES:
-        place = tuple(rng.uniform(0.0, AREA_M, 2).tolist())
+        x, y = rng.uniform(0.0, AREA_M, 2).tolist()
+        place = x, y
         rate = smallest_rate(supposed, place)
         if not math.isfinite(rate):
             continue
@@ -138,7 +142,7 @@ def miss(seed: int) -> list[Unseen]:
         readings = drawn(again, place, rate, rng)
         seen = int((again.at(place).advantages(readings, rate) >= CLEAR).sum())
         needed = sum(needs_a_plume(flight, readings[:, k], rate, seed) for k in range(JUDGED))
-        found.append(Unseen(seed, *place, rate, DRAWS, seen, JUDGED, needed))
+        found.append(Unseen(seed, x, y, rate, DRAWS, seen, JUDGED, needed))
     return found
 
 
@@ -253,7 +257,7 @@ def visibility(rows: Sequence[Unseen]) -> str:
     return table(["seen by", "flights", "places", "sources", "seen, %"], lines)
 
 
-def read_rows(path: Path, kind: type) -> list:
+def read_rows(path: Path, kind: type[Row]) -> list[Row]:
     """Read rows of a kind; none if there is no file."""
     if not path.exists():
         return []
@@ -317,10 +321,10 @@ def main() -> None:
             missed = pool.map(miss, range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.flights), chunksize=1)
             write_rows(unseen, [row for rows in missed for row in rows])
     text = args.page.read_text()
-    if rows := read_rows(covered, Covered):
-        text = placed(text, "coverage", coverage(rows))
-    if rows := read_rows(unseen, Unseen):
-        text = placed(text, "unseen", visibility(rows))
+    if missions := read_rows(covered, Covered):
+        text = placed(text, "coverage", coverage(missions))
+    if sources := read_rows(unseen, Unseen):
+        text = placed(text, "unseen", visibility(sources))
     with whole(args.page) as partial_file:
         partial_file.write_text(text)
 

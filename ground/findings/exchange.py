@@ -103,13 +103,22 @@ def _line(it: Findings, places: Sequence[Sequence[float]]) -> dict[str, Any] | N
 
 
 def _polygons(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> dict[str, Any] | None:
-    """Return a Polygon, or a MultiPolygon of several outer rings, each with the holes within it."""
-    if it.flight.home is None:
+    """Return a Polygon, or a MultiPolygon of several outer rings, each with the holes within it.
+
+    None without a home, or if they lie nowhere on earth.
+    """
+    if it.flight.home is None or not _are_on_earth(it, rings):
         return None
     polygons = [[_positions(it, ring) for ring in rings_of] for rings_of in grouped(rings)]
+    if not polygons:
+        return None
     if len(polygons) == 1:
         return {"type": "Polygon", "coordinates": polygons[0]}
     return {"type": "MultiPolygon", "coordinates": polygons}
+
+
+def _are_on_earth(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> bool:
+    return all(it.on_earth(place) for ring in rings for place in ring)
 
 
 def grouped(rings: Sequence[Sequence[Sequence[float]]]) -> list[list[Sequence[Sequence[float]]]]:
@@ -228,6 +237,8 @@ def _kml_point(it: Findings, place: Point) -> str:
 
 
 def _kml_polygon(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> str:
+    if not _are_on_earth(it, rings):
+        return ""
     edges = ["outerBoundaryIs", *["innerBoundaryIs"] * (len(rings) - 1)]
     told = "".join(
         f"<{edge}><LinearRing>{_coordinates(it, ring)}</LinearRing></{edge}>"

@@ -114,7 +114,7 @@ def findings_of(flight: Flight) -> Findings:
         height=_ranged("z", last.z, flight) if "z" in last.unknowns else None,
         rate=_ranged("q", last.rate, flight),
         wind=_wind(flight),
-        gas={name: tuple(values) for name, values in last.intermittency.items()},
+        gas=last.intermittency,
         smallest=smallest_rates(flight, told, area_m) if not_found else None,
         made_ns=int(datetime.now(UTC).timestamp() * 1e9),
     )

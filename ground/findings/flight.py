@@ -198,9 +198,9 @@ def _home(history: History, about: dict[str, Any]) -> tuple[Home | None, str]:
     mission = about.get("mission")
     vehicle = mission.get("vehicle") if isinstance(mission, dict) else None
     if isinstance(vehicle, dict) and "vehicle" not in about:
-        lat, lon = vehicle.get("home_lat_deg"), vehicle.get("home_lon_deg")
-        if isinstance(lat, float) and isinstance(lon, float) and abs(lat) <= 90 and abs(lon) <= 180:
-            return (lat, lon), "the mission's own description"
+        told = vehicle.get("home_lat_deg"), vehicle.get("home_lon_deg")
+        if all(isinstance(it, float) and abs(it) <= 180 for it in told) and abs(told[0]) <= 90:
+            return told, "the mission's own description"
     return None, "nobody"
 
 

@@ -336,6 +336,6 @@ READ = (
     "interval supports.",
     "The region and the intervals hold 95% of the belief, which is what the readings say under the "
     "assumption above. The ellipse is that of the belief's covariance, the contour the smallest region that "
-    "holds 95% of its particles. How often they hold the truth, also where the assumption is wrong, is measured: see "
-    "docs/findings.md of Plumeward.",
+    "holds 95% of its particles. How often they hold the truth, also where the assumption is wrong, is "
+    "measured: see docs/findings.md of Plumeward.",
 )

@@ -115,10 +115,10 @@ def places_of(
     return np.stack(columns, axis=1), rows[:, -1]
 
 
-def _grid(white: Array) -> tuple[Array, Array]:
+def _grid(white: Array) -> tuple[NDArray[np.int64], Array]:
     """Return the cells (N, 2) that places lie in, and where in them, 0 to 1."""
     at = np.clip((white + REACH) * ((CELLS - 1) / (2 * REACH)), 0.0, CELLS - 1 - 1e-9)
-    cells = at.astype(int)
+    cells = at.astype(np.int64)
     return cells, at - cells
 
 

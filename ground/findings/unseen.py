@@ -89,7 +89,7 @@ def smallest_rates(flight: Flight, told: Told, area_m: float, flights: int = FLI
         return None
     every = -(-len(flight.samples) // MOST_READINGS)
     supposed = Supposed(flight, told.sensor, told.spikes, flights, every)
-    centres = (np.arange(CELLS) + 0.5) * (area_m / CELLS)
+    centres: Array = (np.arange(CELLS) + 0.5) * (area_m / CELLS)
     rates = np.array([[smallest_rate(supposed, (x, y)) for x in centres.tolist()] for y in centres.tolist()])
     return Smallest(centres, rates, every)
 
@@ -274,7 +274,7 @@ class SupposedSource:
         of = self._of
         squares = np.broadcast_to(np.square(of.of["cv"]), of.winds.shape[:2])
         if np.isinf(of.of["puff-rate"]).all():
-            return np.minimum(squares, GREATEST_SQUARE)
+            return np.asarray(np.minimum(squares, GREATEST_SQUARE))
         d, tau, share = of.of["d"], of.of["tau"], of.of["puff-share"]
         strength = d * np.sqrt((1 - 0.5 * share) / share**3) / (math.pi * math.sqrt(2) * of.of["puff-rate"])
         offsets = self._offsets(place)
@@ -286,7 +286,7 @@ class SupposedSource:
         exponent = 2 * (distance * np.sqrt(1 / (d * tau) + drift * drift) + (1 - width) * along) - z
         bessel = np.sqrt(4 + z * (8 + z * (5.9 + z * (0.5 * math.pi))))
         puffs = strength * bessel / square * np.exp(np.minimum(exponent, 50.0))
-        return np.minimum(squares + puffs, GREATEST_SQUARE)
+        return np.asarray(np.minimum(squares + puffs, GREATEST_SQUARE))
 
 
 def spike_density(readings: Array, sensor: Sensor) -> Array:
