@@ -36,7 +36,7 @@ from benchmarks.pages import placed, table
 from estimator.belief import CLEAR, belief, evidence
 from estimator.filter import Config, assimilate, prior
 from ground.findings.assumed import SPIKES
-from ground.findings.flight import Flight, Sample
+from ground.findings.flight import Flight, FlownReading
 from ground.findings.region import CHI2_95, contour_95, places_of
 from ground.findings.unseen import FLIGHTS, Supposed, smallest_rate
 from link import cli
@@ -158,7 +158,7 @@ def flown_in_clean_air(seed: int) -> Flight:
         reading = Reading(step, place, ALTITUDE_M, told.wind, gas)
         posterior = assimilate(posterior, reading, config)
         said, particles = belief(posterior, reading, config)
-        samples.append(Sample(step, 0, float(step), place, ALTITUDE_M, gas, told.wind, said.spread))
+        samples.append(FlownReading(step, 0, float(step), place, ALTITUDE_M, gas, told.wind, said.spread))
         place = choose(POLICY, said, particles, derived_seed(seed, "agent"), Reach())
     return Flight(
         path=Path("clean air"),

@@ -13,11 +13,11 @@ import msgspec
 import numpy as np
 
 from ground.findings.assumed import PriorRow, Told, calibration, command_line, stop_text, told_of, unit_of
-from ground.findings.flight import Flight, Sample
+from ground.findings.flight import Flight, FlownReading
 from ground.findings.numbers import utc
 from ground.findings.region import Contour95, Ellipse95, contour_95, ellipse_95, places_of
 from ground.findings.unseen import Smallest, smallest_rates
-from ground.findings.verdict import DOUBTFUL, NOT_FOUND, OUTSIDE, Verdict, verdict
+from ground.findings.verdict import DOUBTFUL, NOT_FOUND, OUTSIDE, Judgement, verdict
 from link.bus.messages import Belief
 from plume import __version__
 from plume.geodesy import to_global
@@ -44,7 +44,7 @@ class Ranged(NamedTuple):
         return Ranged(factor * self.value, *ends)
 
 
-class Wind(NamedTuple):
+class FlownWind(NamedTuple):
     """The wind as measured, and what the belief made of it.
 
     Directions are those it comes from, degrees clockwise from north.
@@ -65,13 +65,13 @@ class Findings:
 
     flight: Flight
     told: Told
-    verdict: Verdict
+    verdict: Judgement
     area_m: float
     ellipse: Ellipse95
     contour: Contour95 | None
     height: Ranged | None  # of the source above home, m; None if it was taken to be known
     rate: Ranged  # g/s
-    wind: Wind
+    wind: FlownWind
     gas: dict[str, tuple[float, float, float]]  # 5, 50 and 95% quantiles, as of `Belief.intermittency`
     smallest: Smallest | None  # the smallest rates that would have been seen; None where a source was found
     made_ns: int = field(default=0)
@@ -140,7 +140,7 @@ def _ranged(name: str, value: float, flight: Flight) -> Ranged:
     return Ranged(value, max(value - half, least), value + half)
 
 
-def _wind(flight: Flight) -> Wind:
+def _wind(flight: Flight) -> FlownWind:
     east, north = np.array([sample.wind for sample in flight.samples]).T
     speeds = np.hypot(east, north)
     mean_east, mean_north = float(east.mean()), float(north.mean())
@@ -152,7 +152,7 @@ def _wind(flight: Flight) -> Wind:
         cosine = float((north[moving] / speeds[moving]).mean())
         epsilon = math.sqrt(max(1.0 - sine * sine - cosine * cosine, 0.0))
         std_deg = math.degrees(math.asin(min(epsilon, 1.0)) * (1 + 0.1547 * epsilon**3))
-    wind = Wind(
+    wind = FlownWind(
         float(speeds.mean()), float(speeds.std()), from_deg, std_deg, one_wind_p=flight.last.wind_p_value
     )
     return wind._replace(
@@ -306,7 +306,7 @@ def simulated_source(it: Findings) -> Point | None:
     return None
 
 
-def _distance(samples: Sequence[Sample]) -> float:
+def _distance(samples: Sequence[FlownReading]) -> float:
     places: list[Point] = [sample.place for sample in samples]
     return math.fsum(math.dist(a, b) for a, b in pairwise(places))
 

@@ -24,7 +24,7 @@ NS = 1_000_000_000
 CHUNK = 1 << 20
 
 
-class Sample(NamedTuple):
+class FlownReading(NamedTuple):
     """One reading that the estimator took, and the spread of its belief after it."""
 
     step: int
@@ -37,7 +37,7 @@ class Sample(NamedTuple):
     spread_m: float
 
 
-class Said(NamedTuple):
+class Remark(NamedTuple):
     """Something that was said during the mission and that a reader of its findings should know."""
 
     utc_ns: int
@@ -53,12 +53,12 @@ class Flight(NamedTuple):
     about: dict[str, Any]  # the run's own description
     home: Home | None  # None: nobody said where the area is
     home_by: str  # who said so, in words
-    samples: list[Sample]
+    samples: list[FlownReading]
     last: Belief
     particles: Particles | None  # of the last belief; None if the record has none
     track: NDArray[np.float32]  # (K, 2) m
-    warnings: list[Said]
-    estimator_warned: list[Said]  # those of the estimator: of stops that would not be honest
+    warnings: list[Remark]
+    estimator_warned: list[Remark]  # those of the estimator: of stops that would not be honest
     remark: str  # what the record itself lacks, after its name; empty if it is whole
     is_damaged: bool  # pieces of the record are missing
     budget: int | None
@@ -117,7 +117,7 @@ def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = Non
     scene = history.at()
     clock = _Clock(recording.entries)
     said = (
-        Said(clock.utc_ns(it.time_s), it.who, it.text)
+        Remark(clock.utc_ns(it.time_s), it.who, it.text)
         for it in scene.happenings
         if it.level in (WARNING, ERROR)
     )
@@ -171,11 +171,11 @@ def _readings(entries: Iterable[Entry]) -> dict[int, tuple[Reading, Entry]]:
     return found
 
 
-def _sample(said: Belief, entry: Entry, reading: tuple[Reading, Entry] | None) -> Sample:
+def _sample(said: Belief, entry: Entry, reading: tuple[Reading, Entry] | None) -> FlownReading:
     """Return the reading that a belief answers; one that the record lacks is as the belief says."""
     wind = reading[0].wind if reading else said.wind
     at = reading[1] if reading else entry
-    return Sample(
+    return FlownReading(
         said.step,
         at.published_ns,
         entry.simulation_s,

@@ -15,7 +15,7 @@ CLEAR = 5.0  # least evidence of a plume for a stop, nats
 NARROW_M = 1.0  # a belief whose spread is below this claims a place, stop or not
 
 
-class Verdict(NamedTuple):
+class Judgement(NamedTuple):
     """How a search has ended."""
 
     kind: str  # FOUND, DOUBTFUL, OUTSIDE or NOT_FOUND
@@ -23,26 +23,26 @@ class Verdict(NamedTuple):
     reasons: tuple[str, ...] = ()  # why it is doubtful
 
 
-def verdict(flight: Flight, told: Told) -> Verdict:
+def verdict(flight: Flight, told: Told) -> Judgement:
     """Judge a flight by what it says of itself: nobody knows the truth."""
     last = flight.last
     if last.ceased and last.outside >= SURE_OUTSIDE:
         to = beyond(last.mean)
         where = f", to the {to}" if to else ""
         sentence = f"The source is outside the search area{where} ({100 * last.outside:.0f}% of the belief)."
-        return Verdict(OUTSIDE, sentence, _doubts(flight, told))
+        return Judgement(OUTSIDE, sentence, _doubts(flight, told))
     if last.ceased:
         if reasons := _doubts(flight, told):
-            return Verdict(
+            return Judgement(
                 DOUBTFUL,
                 f"A source was located after {last.step + 1} readings, but the find is doubtful: "
                 f"{'; '.join(reasons)}.",
                 reasons,
             )
-        return Verdict(FOUND, f"A source was found after {last.step + 1} readings.")
+        return Judgement(FOUND, f"A source was found after {last.step + 1} readings.")
     reasons = _withheld(flight)
     if last.spread < NARROW_M and reasons:
-        return Verdict(
+        return Judgement(
             DOUBTFUL,
             f"The belief is narrow after {last.step + 1} readings, but the search claims no find: "
             f"{'; '.join(reasons)}.",
@@ -53,7 +53,7 @@ def verdict(flight: Flight, told: Told) -> Verdict:
         if last.evidence >= CLEAR
         else "the readings need no source to explain them"
     )
-    return Verdict(
+    return Judgement(
         NOT_FOUND, f"No source was found in {last.step + 1} readings: {met}.", _withheld(flight, narrow=False)
     )
 

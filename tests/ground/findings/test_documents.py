@@ -20,7 +20,7 @@ import pytest
 from ground.findings.documents import DOCUMENTS, write
 from ground.findings.exchange import cell, figures_csv, geojson, kml, readings_csv
 from ground.findings.figures import Findings, as_json
-from ground.findings.flight import Said, sha256_of
+from ground.findings.flight import Remark, sha256_of
 from ground.findings.page import page
 from link.record.reader import read
 from link.record.writer import Writer
@@ -318,7 +318,7 @@ def evil(found: Findings) -> Findings:
                 "parts": {"estimator": ["--prior", f"q={EVIL}", EVIL]},
                 "mission": {"world": EVIL},
             },
-            warnings=[*said, Said(0, EVIL, EVIL), Said(0, "uav", "=HYPERLINK(1)")],
+            warnings=[*said, Remark(0, EVIL, EVIL), Remark(0, "uav", "=HYPERLINK(1)")],
             remark=EVIL,
         ),
     )

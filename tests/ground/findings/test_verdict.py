@@ -6,18 +6,18 @@ from typing import Any
 import msgspec
 import pytest
 
-from ground.findings.flight import Said
-from ground.findings.verdict import DOUBTFUL, FOUND, NOT_FOUND, OUTSIDE, Verdict, verdict
+from ground.findings.flight import Remark
+from ground.findings.verdict import DOUBTFUL, FOUND, NOT_FOUND, OUTSIDE, Judgement, verdict
 from plume.sensors.names import parse
 from tests.ground.findings.records import FOUND as RECORD
 from tests.ground.findings.records import findings
 
 
-def judged(sensor: str = "", warned: str = "", remark: str = "", **changes: Any) -> Verdict:
+def judged(sensor: str = "", warned: str = "", remark: str = "", **changes: Any) -> Judgement:
     it = findings(RECORD)
     flight = it.flight._replace(last=msgspec.structs.replace(it.last, **changes), remark=remark)
     if warned:
-        flight = flight._replace(estimator_warned=[Said(0, "estimator", warned)])
+        flight = flight._replace(estimator_warned=[Remark(0, "estimator", warned)])
     told = it.told._replace(sensor=parse(sensor)) if sensor else it.told
     return verdict(flight, told)
 
