@@ -34,7 +34,7 @@ MOST_READINGS = 5000  # of longer flights every n-th reading counts, which makes
 SPIKE_SIZE = 7.0  # as `estimator/kernels/spikes.py` has it
 RAY_NODES = 16
 GREATEST_SQUARE = 9.0  # of a coefficient of variation: of stronger gas hardly a reading has any
-SMALLEST, STEADY = 1e-300, 1e-9  # least probability, and least squared coefficient of variation
+SMALLEST = 1e-300
 
 
 class Smallest(NamedTuple):
@@ -141,6 +141,8 @@ class Supposed:
         self.winds = self._winds(np.array([sample.wind for sample in samples]), drawn)
         shape = len(samples), flights
         self.normals = rng.standard_normal(shape)
+        self.gas_normals, self.uniforms = rng.standard_normal(shape), rng.random(shape)
+        self.blanks = rng.random(shape)
 
     def _winds(self, measured: Array, drawn: dict[str, Array]) -> Array:
         """Return the winds that carry the gas, (T, K, 2) m/s, of the measured ones (T, 2)."""
@@ -167,8 +169,8 @@ class SupposedSource:
         blank = BLANK * squares / (1 + squares)
         self._there, self._square = 1 / (1 - blank), (1 - blank) * (1 + squares) - 1
         self._blank = blank
-        shapes = 1 / np.maximum(squares, STEADY)  # gamma-distributed gas, as in our worlds
-        self._factor = np.random.default_rng(2).standard_gamma(shapes) / shapes
+        gas = self._there * _inverse_gaussian(self._square, supposed.gas_normals, supposed.uniforms)
+        self._factor = np.where(supposed.blanks < blank, 0.0, gas)
 
     def share_seen(self, rate: float) -> float:
         """Return the share of the simulated flights that see it at a rate, g/s."""
@@ -319,3 +321,11 @@ def _below(limit: float, mean: Array, std: Array) -> Array:
 def _of_counts(counts: Array, expected: Array) -> Array:
     """Poisson probabilities, but for the factor 1/k! that all hypotheses have."""
     return np.asarray(np.exp(np.clip(counts * np.log(expected) - expected, -600.0, 600.0)))
+
+
+def _inverse_gaussian(square: Array, normals: Array, uniforms: Array) -> Array:
+    """Draw from the inverse Gaussian law of mean 1 and a squared cv (Michael et al. 1976)."""
+    chi = np.square(normals)
+    half = 0.5 * square * chi
+    low = 1 / (1 + half + np.sqrt(half * (2 + half)))
+    return np.asarray(np.where(uniforms * (1 + low) <= 1, low, 1 / low))
