@@ -7,6 +7,7 @@ import numpy as np
 
 from estimator.filter import Config, Posterior
 from estimator.kernels.gas import cvs_downwind
+from plume import elementary
 from plume.elementary import Array
 from plume.sensors.names import Sensor, lags
 
@@ -45,14 +46,8 @@ def intermittency(posterior: Posterior, config: Config) -> dict[str, Quantiles]:
 
 
 def quantiles(values: Array, weights: Array) -> Quantiles:
-    """Return the weighted quantiles of values (N,): the least value that a share of the weight reaches.
-
-    weights: (N,) up to 1 each. They are rounded to so few bits that their sums are exact: sorts leave equal
-    values in different orders on different processors.
-    """
-    order = np.argsort(values)
-    reached = np.cumsum(np.rint(weights * (2.0**52 / len(weights)))[order])
-    low, middle, high = values[order[np.searchsorted(reached, LEVELS * reached[-1])]].tolist()
+    """Return the weighted quantiles of values (N,) at `LEVELS`; weights (N,) up to 1 each."""
+    low, middle, high = elementary.quantiles(values, weights, LEVELS)
     return low, middle, high
 
 

@@ -1,4 +1,4 @@
-"""exp, log, cos and sin of numbers and arrays, bit-identical on every machine; and the kinds of arrays.
+"""exp, log, cos, sin and quantiles, bit-identical on every machine; and the kinds of arrays.
 
 They consist of NumPy's own additions and multiplications. NumPy's `exp` and the C library's differ in their
 last bits between processors. These need no compiler, so that a vehicle starts quickly; code that is compiled
@@ -25,6 +25,18 @@ def float32(value: float) -> float:
     In-process missions round the same way.
     """
     return float(np.float32(value))
+
+
+def quantiles(values: Array, weights: Array, levels: ArrayLike) -> list[float]:
+    """Return the weighted quantiles of values (N,): the least value that each share of the weight reaches.
+
+    weights: (N,) up to 1 each. They are rounded to so few bits that their sums are exact: sorts leave equal
+    values in different orders on different processors.
+    """
+    order = np.argsort(values)
+    reached = np.cumsum(np.rint(weights * (2.0**52 / len(weights)))[order])
+    at: list[float] = values[order[np.searchsorted(reached, np.asarray(levels) * reached[-1])]].tolist()
+    return at
 
 
 def _polynomial(x: Array, *coefficients: float) -> Array:

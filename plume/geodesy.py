@@ -6,6 +6,8 @@ It is PX4's projection about home: spherical, azimuthal, equidistant (Snyder 198
 import math
 
 EARTH_RADIUS_M = 6_371_000.0
+# Latitude and longitude of the simulated vehicle's home, degrees: that of PX4's simulation.
+HOME = (47.397742, 8.545594)
 
 
 def to_global(home_lat_deg: float, home_lon_deg: float, north_m: float, east_m: float) -> tuple[float, float]:

@@ -6,18 +6,61 @@ from functools import reduce
 from itertools import pairwise
 from operator import add
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
+import numpy as np
+from numpy.typing import ArrayLike
 
+from plume.elementary import quantiles
+from plume.geodesy import to_global
 from plume.scenario import AREA_M, AS_MODELLED, SUCCESS_RADIUS_M, SURE_OUTSIDE, Scenario
 
 Quantiles = tuple[float, float, float]  # 5, 50 and 95%
 NOTHING: Mapping[str, Quantiles] = MappingProxyType({})
 # Words for gas, by the least coefficient of variation near the source that they stand for.
 BURSTS, COMES_AND_GOES = 1.0, 0.5
+ENDS = (0.025, 0.975)  # levels of the ends of a 95% interval
+DEGREE_DECIMALS = 8  # of latitude and longitude: a millimetre, the same on all processors
+FARTHEST_M = 1e7  # from home
 # Gas whose cv may be less than COMES_AND_GOES and also this is not known well enough for a word.
 UNKNOWN_CV = 1.5
+
+
+# Units of the fields that say none, and what the others' endings mean.
+UNITS: Mapping[str, str] = MappingProxyType(
+    {
+        "estimate": "m",
+        "source": "m",
+        "*_m": "m",
+        "*_m2": "m²",
+        "*_s": "s",
+        "*_deg": "° (WGS84)",
+        "*_gs": "g/s",
+        "*_interval_*": "95% interval",
+    }
+)
+
+
+class LastWord(NamedTuple):
+    """What else the last belief says: the covariance (xx, xy, yy) m², the rate and its 95% interval, g/s."""
+
+    covariance: tuple[float, float, float]
+    rate: float
+    rate_interval: tuple[float, float] | None = None
+
+
+def interval(name: str, unknowns: Sequence[str], particles: ArrayLike) -> tuple[float, float] | None:
+    """Return the central 95% interval of an unknown in a particle array (N, D + 1), weights last.
+
+    None where it is no unknown of the belief.
+    """
+    if name not in unknowns:
+        return None
+    rows = np.asarray(particles, np.float64)
+    weights = rows[:, -1]
+    low, high = quantiles(rows[:, [*unknowns].index(name)], weights / weights.max(), ENDS)
+    return low, high
 
 
 class TracePoint(msgspec.Struct, frozen=True):
@@ -55,6 +98,12 @@ class Outcome(msgspec.Struct, frozen=True):
     # 5, 50 and 95% quantiles of what the belief says of how the gas comes and goes, as of `Belief`.
     intermittency: dict[str, Quantiles] = {}
     advised_dwell_s: float | None = None  # how long to hover for a reading in such gas; None: as long as now
+    latitude_deg: float | None = None  # of the estimate, WGS84; None, as longitude_deg, if home is not known
+    longitude_deg: float | None = None
+    covariance_m2: tuple[float, float, float] | None = None  # (xx, xy, yy) of the source's position
+    rate_gs: float | None = None  # the release rate that was believed, or told if it was known
+    rate_interval_gs: tuple[float, float] | None = None  # its 95% interval; None if it was known
+    units: dict[str, str] = {}  # by the ending of a field's name
 
 
 def verdict(
@@ -107,16 +156,20 @@ def outcome(
     area_m: float = AREA_M,
     intermittency: Mapping[str, Quantiles] = NOTHING,
     advised_dwell_s: float = 0.0,
+    last_word: LastWord | None = None,
+    home: tuple[float, float] | None = None,
 ) -> Outcome:
     """Judge a mission by its true scenario, None if it is not known, and its trace.
 
     The trace's first point is the reading before any move.  outside_share, intermittency and advised_dwell_s
-    are of the last belief; the last is 0 if as long as now.
+    are of the last belief; the last is 0 if as long as now.  home: latitude and longitude of the area's
+    corner, degrees, if it is known.
     """
     last = trace[-1]
     source = scenario.nearest(last.mean) if scenario else None
     ended = verdict(ceased, last.mean, source, outside_share, area_m)
     error_m = math.dist(last.mean, source) if source else None
+    latitude_deg, longitude_deg = on_earth(home, last.mean)
     return Outcome(
         seed=seed,
         policy=policy,
@@ -140,7 +193,26 @@ def outcome(
         outside_to=beyond(last.mean, area_m),
         intermittency=dict(intermittency),
         advised_dwell_s=advised_dwell_s or None,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        covariance_m2=last_word and last_word.covariance,
+        rate_gs=last_word and last_word.rate,
+        rate_interval_gs=last_word and last_word.rate_interval,
+        units=dict(UNITS),
     )
+
+
+def on_earth(
+    home: tuple[float, float] | None, place: tuple[float, float]
+) -> tuple[float, float] | tuple[None, None]:
+    """Return latitude and longitude of a place (x, y) m from home, degrees, to a millimetre.
+
+    None for both if nobody knows where home is, or the place is further than FARTHEST_M.
+    """
+    if home is None or not (abs(place[0]) <= FARTHEST_M and abs(place[1]) <= FARTHEST_M):
+        return None, None
+    lat, lon = to_global(*home, place[1], place[0])
+    return round(lat, DEGREE_DECIMALS), round(lon, DEGREE_DECIMALS)
 
 
 def outcome_json(

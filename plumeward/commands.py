@@ -21,7 +21,7 @@ PACKAGES = {
 # The commands as the help shows them.
 GROUPS = {
     "Fly a mission": ("fly", "rollout", "list"),
-    "Look at missions": ("view", "status", "log", "draw", "replay", "record"),
+    "Look at missions": ("view", "status", "log", "draw", "findings", "replay", "record"),
     "Look at worlds": ("worlds",),
     "Compare and train policies": ("evaluate", "train", "report"),
     "Run one part alone": ("router", "uav", "payload", "bridge", "ros2", "estimator", "agent"),

@@ -17,6 +17,7 @@ COMMANDS = {
     "status": Command("ground.desk.status", "show how the parts of a running mission are doing"),
     "log": Command("ground.desk.summary", "summarise a log, or print one of its keys as CSV"),
     "draw": Command("ground.desk.draw", "draw a log as a picture or an animation"),
+    "findings": Command("ground.findings.command", "write what a flight has found: page, map, figures"),
     "worlds": Command("ground.desk.worlds", "show what is in a recorded plume"),
     "replay": Command("ground.replay.command", "feed a log to the estimator and agent again"),
     "record": Command("ground.desk.recorder", "record everything on a bus until interrupted"),

@@ -13,7 +13,8 @@ from estimator.filter import Config, Posterior, assimilate, prior
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
 from plume.flight import TRY_AGAIN_S, leg_s
-from plume.outcome import Outcome, TracePoint, outcome
+from plume.geodesy import HOME
+from plume.outcome import LastWord, Outcome, TracePoint, interval, outcome
 from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, BUDGET_STEPS, Scenario, draw
 from plume.worlds.exposure import Before
@@ -178,4 +179,6 @@ def rollout(
         flown.config.area_m,
         said.intermittency,
         said.advised_dwell,
+        LastWord(said.covariance, said.rate, interval("q", said.unknowns, step.particles)),
+        HOME,
     ), trace

@@ -12,12 +12,18 @@ from pathlib import Path
 
 import msgspec
 
+from ground.findings.command import refuse, save
+from ground.findings.figures import findings_of
+from ground.findings.flight import gathered, home_of
+from ground.findings.page import sentence
 from ground.replay.player import Player, replay
 from ground.replay.source import Source, find
 from ground.replay.verify import Rules
 from link import cli
+from link.record.reader import Recording, read
 from link.terminal import tell
-from plume.outcome import assumed_text, beyond, gas_lines, outside_text, verdict
+from plume import __version__
+from plume.outcome import UNITS, assumed_text, beyond, gas_lines, on_earth, outside_text, verdict
 from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
 from plume.sensors import names as sensor
@@ -116,6 +122,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.mcap",
         help="tlog, csv: record the replay, with the beliefs, as a mission's record",
     )
+    parser.add_argument(
+        "--findings",
+        type=Path,
+        metavar="DIR",
+        help="tlog, csv: write what has been found into this folder: a page, GeoJSON, KML, CSV and JSON",
+    )
     cli.add_output_guard(parser)
     parser.add_argument(
         "--sysid", type=cli.whole(1, 255), metavar="N", help="tlog: which vehicle (default: the only one)"
@@ -206,6 +218,12 @@ def run(args: argparse.Namespace) -> int:
     files = RecordFiles(args.record) if args.record else None
     if files:
         files.prepare(args.force)
+    if args.findings:
+        if source.recorded:
+            raise cli.BadInput(
+                f"--findings: {args.log} is a record: plumeward findings {args.log} writes them"
+            )
+        refuse(args.findings, args.force, "--findings")
     for note in source.notes:
         tell(f"replay: {note}")
     try:
@@ -233,6 +251,8 @@ def run(args: argparse.Namespace) -> int:
         if trouble := files.take_place():
             tell(f"warning: {trouble}", sys.stderr)
         files.tell(sys.stderr if args.json else sys.stdout)
+    if args.findings:
+        _write_findings(result, source, args)
     if args.json:
         print(_json(result, source, rules))
     return cli.FAILED if result.difference or source.damaged else 0
@@ -243,6 +263,24 @@ def _give_up(files: RecordFiles | None) -> None:
     if files:
         files.made = True
         files.give_up(refused=False)
+
+
+def _write_findings(result: Player, source: Source, args: argparse.Namespace) -> None:
+    """Write the findings of a log that was replayed. Raises BadInput."""
+    about = {
+        "namespace": source.namespace,
+        "parts": dict(source.parts),
+        "versions": {"plumeward": __version__},
+    }
+    heard = Recording(about, [*source.entries, *result.said], complete=True)
+    flight = gathered(heard, source.path, replayed_at=source.home)
+    if flight is None:
+        raise cli.BadInput(f"--findings: no belief was received for {args.log}")
+    it = findings_of(flight)
+    save(it, args.findings)
+    tell(
+        f"{sentence(it)}\nfindings {args.findings / 'findings.html'}", sys.stderr if args.json else sys.stdout
+    )
 
 
 def _text(result: Player, source: Source, rules: Rules | None, took_s: float) -> str:
@@ -278,6 +316,8 @@ def _text(result: Player, source: Source, rules: Rules | None, took_s: float) ->
 
 def _json(result: Player, source: Source, rules: Rules | None) -> str:
     last = result.last
+    home = home_of(read(source.path))[0] if source.recorded else source.home
+    latitude_deg, longitude_deg = on_earth(home, last.mean) if last else (None, None)
     return msgspec.json.encode(
         {
             "verified": None if rules is None else result.difference is None,
@@ -293,5 +333,11 @@ def _json(result: Player, source: Source, rules: Rules | None) -> str:
             "intermittency": last.intermittency if last else None,
             "advised_dwell_s": (last.advised_dwell or None) if last else None,
             "error_m": math.dist(last.mean, source.truth) if last and source.truth else None,
+            "latitude_deg": latitude_deg,
+            "longitude_deg": longitude_deg,
+            "covariance_m2": last.covariance if last else None,
+            "rate_gs": last.rate if last else None,
+            "rate_interval_gs": result.rate_interval,
+            "units": dict(UNITS),
         }
     ).decode()

@@ -18,9 +18,10 @@ from ground.replay.verify import Answer, Difference, Rules
 from link.bus.backoff import Backoff
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, READING, RESEND_FIRST_S, RESEND_LAST_S, STOP, WAYPOINT
-from link.bus.messages import Belief, Health
+from link.bus.messages import Belief, Health, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.record.record import Entry
+from plume.outcome import interval
 from sitl.launch.processes import RECORDER, Ended, LogLine, Processes, raise_for, secure_words
 from sitl.launch.progress import Progress, pace
 
@@ -95,6 +96,9 @@ class Player:
         self._resending = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
         self._flown_m = 0.0
         self.last: Belief | None = None
+        self.said: list[Entry] = []  # what the services said, at the times of the log
+        self._newest: int | None = None  # where the last belief is in it
+        self._when = 0, 0.0  # of the newest reading: published, ns, and simulation time, s
         self.ceased_at: int | None = None  # the step at which the search ceased
         self.difference: Difference | None = None  # the first from the recording
 
@@ -136,6 +140,7 @@ class Player:
     def _begin(self, reading: Entry, time_ms: int) -> None:
         """Expect the answers to a new reading."""
         self._reading, self._latest_ms = reading.payload, time_ms
+        self._when = reading.published_ns, reading.simulation_s
         if self._first_ms < 0:
             self._first_ms = time_ms
         if self._source.recorded:
@@ -210,12 +215,33 @@ class Player:
                 # first.
                 if (health := self._bus.decode(item, Health)) is not None:
                     self._present.add(health.service)
+                    self._keep(HEALTH.named(health.service), item)
             case Arrival(key, payload, attachment):
                 for said in verify.answers(key.name, payload, attachment):
                     self._answered(answer := said.near(self._latest_ms))
+                    if key is not WAYPOINT and answer.time_ms <= self._latest_ms:
+                        self._keep(key.name, item)
                     if answer.kind == "belief" and self._shown_ms < answer.time_ms <= self._latest_ms:
                         self._shown_ms = answer.time_ms
                         self._show(self._bus.decode(item, Belief))
+
+    def _keep(self, key: str, item: Arrival) -> None:
+        if key == BELIEF.name:  # only the last one's particles are needed
+            if self._newest is not None:
+                self.said[self._newest] = self.said[self._newest]._replace(attachment=b"")
+            self._newest = len(self.said)
+        self.said.append(Entry(key, *self._when, item.payload, item.attachment))
+
+    @property
+    def rate_interval(self) -> tuple[float, float] | None:
+        """The 95% interval of the last belief's release rate, g/s; None if it is known, or not told."""
+        if self.last is None or self._newest is None:
+            return None
+        unknowns = self.last.unknowns
+        with contextlib.suppress(ValueError):
+            particles = unpack_particles(self.said[self._newest].attachment, len(unknowns))
+            return interval("q", unknowns, particles)
+        return None
 
     def _answered(self, answer: Answer) -> None:
         if answer.time_ms > self._latest_ms:

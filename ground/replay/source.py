@@ -82,6 +82,7 @@ class Source(NamedTuple):
     world: str = AS_MODELLED  # how the truth differs from what the estimator was told; as modelled if unknown
     area_m: float = AREA_M  # side of the search area
     notes: tuple[str, ...] = ()  # remarks on the log, one line each
+    home: tuple[float, float] | None = None  # latitude and longitude of a log's area's corner, degrees
 
     @property
     def about(self) -> dict[str, Any]:
@@ -201,6 +202,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
             "lifetime": told.tau,
             "sensor": sensor.text(world.sensor),
         }
+    lat, lon = flown.origin.lat_deg, flown.origin.lon_deg
     notes = list(flown.notes)
     estimator = _estimator(flown, {**known, **filtering, **_sensing(flown, filtering, notes)})
     return Source(
@@ -214,6 +216,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         world=world.name if world else AS_MODELLED,
         area_m=flown.area_m,
         notes=tuple(notes),
+        home=None if lat is None or lon is None else (lat, lon),
     )
 
 
@@ -233,6 +236,7 @@ def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -
         area_m=chosen.get("area"),
     )
     notes = list(flown.notes)
+    lat, lon = flown.origin.lat_deg, flown.origin.lon_deg
     estimator = _estimator(flown, {**filtering, **_sensing(flown, filtering, notes)})
     return Source(
         path,
@@ -243,6 +247,7 @@ def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -
         False,
         area_m=flown.area_m,
         notes=tuple(notes),
+        home=None if lat is None or lon is None else (lat, lon),
     )
 
 

@@ -235,14 +235,14 @@ class History:
     # ---- looking ----
 
     @property
-    def home(self) -> Fix | None:
-        """Home on the earth, which is the area's corner; None before the vehicle has told it."""
-        return self._area.home
-
-    @property
     def begin_s(self) -> float:
         """Simulation time at which the vehicle was first heard; 0 if it was started then."""
         return began_s(self._crafts.times_s)
+
+    @property
+    def home(self) -> Fix | None:
+        """The area's corner: latitude and longitude, degrees, and altitude above sea, m; None if unknown."""
+        return self._area.home
 
     def at(self, time_s: float = math.inf, wall_s: float | None = None) -> Scene:
         """Return the scene at a simulation time, by default the newest.

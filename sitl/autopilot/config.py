@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from aircraft.state import AircraftConfig, Ned, metres
 from plume.flight import ACCEL_MPS2, SPEED_MPS
-from plume.geodesy import to_local
+from plume.geodesy import HOME, to_local
 from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, NorthEast, Rally
 from sitl.autopilot.motion import Limits
 
@@ -23,8 +23,8 @@ class VehicleConfig(AircraftConfig):
     """
 
     sysid: int = 1
-    home_lat_deg: float = 47.397742
-    home_lon_deg: float = 8.545594
+    home_lat_deg: float = HOME[0]
+    home_lon_deg: float = HOME[1]
     home_alt_m: float = 488.0  # above mean sea level
     home_heading_deg: float = 0.0
     speed_mps: float = SPEED_MPS

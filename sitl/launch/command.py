@@ -18,7 +18,14 @@ from plume.scenario import BUDGET_STEPS
 from sitl.launch.launcher import Flown, fly
 from sitl.launch.mission import Launch, RealVehicle, check_connect, check_payload
 from sitl.launch.processes import MissionFailed
-from sitl.launch.recording import RecordFiles, record_file, run_name, write_summary
+from sitl.launch.recording import (
+    RecordFiles,
+    check_findings,
+    record_file,
+    run_name,
+    write_findings,
+    write_summary,
+)
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
 from sitl.script.options import FIELDS, blamed, script_for_vehicle, script_of
@@ -90,6 +97,12 @@ def add_arguments(
     )
     parser.add_argument("--no-record", action="store_true", help="record nothing")
     parser.add_argument(
+        "--findings",
+        type=Path,
+        metavar="DIR",
+        help="write what the mission has found into this folder: a page, GeoJSON, KML, CSV and JSON",
+    )
+    parser.add_argument(
         "--view", action="store_true", help="show the mission on a page, which stays open until it is closed"
     )
     parser.add_argument("--open", action="store_true", help="the same, and open it in a browser")
@@ -115,6 +128,8 @@ def run(args: argparse.Namespace) -> int:
     policy = "connected" if args.connect else script.agent.policy
     summary = Path("runs") / f"{run_name(policy, script.seed)}.json"
     files = None if args.no_record else RecordFiles(args.record or summary.with_suffix(".mcap"))
+    if args.findings:
+        check_findings(args.findings, args.force, has_record=files is not None)
     if files:
         files.prepare(args.force)
     page = MissionPage(wanted=args.view, opened=args.open, attended=sys.stderr.isatty() and not args.json)
@@ -134,8 +149,13 @@ def run(args: argparse.Namespace) -> int:
         page.linger()
         return failure.status
     _tell_outcome(args, flown, summary, files)
+    written = True
+    if files and args.findings:
+        written = write_findings(files.path, args.findings, sys.stderr if args.json else sys.stdout)
+    if args.json:
+        print(flown.json(with_trace=args.trace), flush=True)
     page.linger()
-    return 0 if all(flown.expectations.values()) else cli.FAILED
+    return 0 if written and all(flown.expectations.values()) else cli.FAILED
 
 
 def _checked_script(args: argparse.Namespace) -> Script:
@@ -213,5 +233,3 @@ def _tell_outcome(args: argparse.Namespace, flown: Flown, summary: Path, files: 
         files.tell(results)
     for expectation, came_true in flown.expectations.items():
         print(f"expected {expectation}: {'yes' if came_true else 'NO'}", file=results)
-    if args.json:
-        print(flown.json(with_trace=args.trace), flush=True)

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from aircraft.operator import AUTOPILOT
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
-from link.bus.messages import Belief, Health, Stop
+from link.bus.messages import Belief, Health, Stop, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange
-from plume.outcome import TracePoint
+from plume.outcome import LastWord, TracePoint, interval
 from scene.follow.area import PLACING, AreaFrame
 from scene.follow.telemetry import LOCAL, frames
 from sitl.launch.processes import MissionFailed
@@ -66,6 +66,7 @@ class MissionHeard:
         self.trace = HeardTrace()
         self.health: dict[str, Health] = {}  # the newest health of each service
         self.last: Belief | None = None  # the belief of the greatest step
+        self._particles = b""  # of that belief
         self.distance_m = 0.0  # how far the vehicle has flown from the first belief to the last
         self.stopped = False  # whether the estimator has declared a stop
         self.warned = False  # whether the estimator has ever warned
@@ -85,7 +86,7 @@ class MissionHeard:
         elif arrival.key is HEALTH:
             return self._health(self._bus.decode(arrival, Health), now_s)
         elif arrival.key is BELIEF:
-            return self._belief(self._bus.decode(arrival, Belief))
+            return self._belief(self._bus.decode(arrival, Belief), arrival.attachment)
         return None
 
     @property
@@ -117,14 +118,27 @@ class MissionHeard:
                 self.landed_since_s = min(self.landed_since_s, now_s)
         return health
 
-    def _belief(self, belief: Belief | None) -> Belief | None:
+    @property
+    def home(self) -> tuple[float, float] | None:
+        """Latitude and longitude of home, degrees; followed once MAVLINK_OUT is subscribed."""
+        return self._area.home[:2] if self._area.home else None
+
+    def last_word(self, last: Belief) -> LastWord:
+        """Return what else the last belief says; without its particles the rate has no interval."""
+        rate_interval = None
+        with contextlib.suppress(ValueError):
+            particles = unpack_particles(self._particles, len(last.unknowns))
+            rate_interval = interval("q", last.unknowns, particles)
+        return LastWord(last.covariance, last.rate, rate_interval)
+
+    def _belief(self, belief: Belief | None, particles: bytes) -> Belief | None:
         if not belief or not self.trace.belief(belief):
             return None
         if self.last:
             if belief.step < self.last.step:
                 return None  # it was missed, and comes late
             self.distance_m += math.dist(self.last.position, belief.position)
-        self.last = belief
+        self.last, self._particles = belief, particles
         return belief
 
     def _follow_down(self, payload: bytes) -> None:
@@ -136,8 +150,9 @@ class MissionHeard:
             ):
                 if frame.message_id in PLACING:
                     self._area.take(frame.message_id, fields)
-                elif (place := self._area.place(fields)) and (self._area.on_ground or place[2] < ON_GROUND_M):
-                    self.landed_at = place[:2]
+                elif place := self._area.place(fields):
+                    stands = self._area.on_ground or place[2] < ON_GROUND_M
+                    self.landed_at = place[:2] if stands else None
 
 
 class HeardTrace:

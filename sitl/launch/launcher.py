@@ -94,7 +94,7 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
                     secure=mission.secure,
                 )
             )
-            bus.subscribe(READING, BELIEF, STOP, HEALTH)
+            bus.subscribe(READING, BELIEF, STOP, HEALTH, *[MAVLINK_OUT] * bool(mission.real))
             return bus
 
         if mission.connect:
@@ -355,7 +355,9 @@ class MissionWatch:
             if not home and "landed" not in expected:
                 return
             after = "return" if home else "land"
-        if home:
+        if (
+            home and not self._mission.real
+        ):  # a real vehicle's is heard from the beginning: it says where home is
             self._bus.subscribe(MAVLINK_OUT)  # where it has landed
         if not heard.landed:
             self._progress.say("returning home" if after == "return" else "landing")
@@ -410,6 +412,8 @@ class MissionWatch:
             last.outside,
             intermittency=last.intermittency,
             advised_dwell_s=last.advised_dwell,
+            last_word=heard.last_word(last),
+            home=heard.home if self._mission.real else self._mission.home,
         )
         located = bool(result.located)
         came_true = {

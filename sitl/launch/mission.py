@@ -13,6 +13,7 @@ from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, Scenario
 from sitl.launch.watchdog import PATIENCE_S
 from sitl.script.script import AgentPart, Cut, EstimatorPart, Expectation, Kill, Lawnmower, Script, Waypoints
+from sitl.uav.options import at_own_home
 
 # Expectations that need the source's true position.
 TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})
@@ -51,6 +52,12 @@ class Launch:
     def system(self) -> int | None:
         """The vehicle's MAVLink system id; None: a real autopilot's, which nobody knows yet."""
         return self.sysid or (None if self.real else self.instance + 1)
+
+    @property
+    def home(self) -> tuple[float, float]:
+        """Latitude and longitude of the simulated vehicle's home, degrees."""
+        config = at_own_home(self.script.vehicle_config(self.instance + 1), self.instance)
+        return config.home_lat_deg, config.home_lon_deg
 
     @property
     def truth(self) -> Scenario | None:

@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import subprocess
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -77,6 +78,48 @@ def record_file(text: str) -> Path:
 def both(path: Path) -> tuple[Path, Path]:
     """Return the two files of a record, given the .mcap."""
     return path, path.with_suffix(".tlog")
+
+
+# Names of the files that `findings` writes: `ground/findings/documents.py`; a test holds them equal.
+FINDINGS = (
+    "findings.html",
+    "findings.geojson",
+    "findings.kml",
+    "findings.json",
+    "figures.csv",
+    "readings.csv",
+)
+
+
+def check_findings(folder: Path, force: bool, *, has_record: bool) -> None:
+    """Raise BadInput if findings cannot be written into a folder, before the flight."""
+    if not has_record:
+        raise cli.BadInput("--findings: not with --no-record: findings are made of the record")
+    if folder.exists() and not folder.is_dir():
+        raise cli.BadInput(f"--findings: {str(folder)!r} is not a folder")
+    paths = [folder / name for name in FINDINGS]
+    if reason := cli.existing("--findings", paths, force):
+        raise cli.BadInput(reason)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise cli.BadInput(f"--findings: {str(folder)!r} cannot be made: {error.strerror}") from None
+    if reason := cli.unwritable("--findings", paths, force=True):
+        raise cli.BadInput(reason)
+
+
+def write_findings(record: Path, folder: Path, to: TextIO) -> bool:
+    """Let the command `findings` write what a recorded mission has found; returns whether it has.
+
+    What it says goes to `to`, its warnings and errors to stderr.
+    """
+    words = ["-m", "sitl", "findings", str(record), "--out", str(folder), "--force"]
+    done = subprocess.run(
+        [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, check=False
+    )
+    for line in done.stdout.splitlines():
+        print(line, file=to)
+    return done.returncode == 0
 
 
 def run_name(policy: str, seed: int) -> str:

@@ -102,6 +102,12 @@ def test_the_json_has_the_fields_that_others_rely_on() -> None:
         "outside_to",
         "intermittency",
         "advised_dwell_s",
+        "latitude_deg",
+        "longitude_deg",
+        "covariance_m2",
+        "rate_gs",
+        "rate_interval_gs",
+        "units",
         "trace",
     }
     assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}

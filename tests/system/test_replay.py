@@ -22,6 +22,7 @@ from link.bus.mavlink import split, unpack_reading
 from link.record.reader import read
 from link.record.record import Entry
 from link.record.writer import Writer
+from plume.outcome import UNITS
 from tests.golden.__main__ import path as golden
 from tests.system.live import Services, run_sitl
 from tests.system.stranger import Stranger
@@ -195,6 +196,12 @@ class TestVerify:
             "outside_share": 0.0,
             "intermittency": {},
             "advised_dwell_s": None,
+            "latitude_deg": pytest.approx(47.3979, abs=5e-4),
+            "longitude_deg": pytest.approx(8.5458, abs=5e-4),
+            "covariance_m2": beliefs[-1]["covariance"],
+            "rate_gs": beliefs[-1]["rate"],
+            "rate_interval_gs": None,  # paper takes it to be known
+            "units": dict(UNITS),
         }
 
     def test_a_changed_field_of_a_belief_is_named_with_both_values(

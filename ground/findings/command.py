@@ -1,0 +1,123 @@
+"""`plumeward findings`: what a flight has found, as documents for people and for other programs."""
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+
+from ground.findings.background import Background, BackgroundError, background
+from ground.findings.documents import DOCUMENTS, write
+from ground.findings.exchange import figures_json
+from ground.findings.figures import Findings, findings_of
+from ground.findings.flight import flight_of
+from ground.findings.page import sentence
+from link import cli
+from link.record.reader import RecordError, is_record
+from link.terminal import tell
+
+
+def _bounds(text: str) -> tuple[float, float, float, float]:
+    try:
+        west, south, east, north = (float(part) for part in text.split(","))
+    except ValueError:
+        west = south = east = north = math.nan
+    if not (-180 <= west <= 180 and -180 <= east <= 180 and west < east and -90 <= south < north <= 90):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not allowed; wanted WEST,SOUTH,EAST,NORTH in degrees, WEST below EAST and "
+            "SOUTH below NORTH"
+        )
+    return west, south, east, north
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+    parser.add_argument("log", metavar="RECORD", type=Path, help="an .mcap written by a mission or `record`")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help=f"folder of the documents: {', '.join(DOCUMENTS)} (default: RECORD-findings beside the record)",
+    )
+    parser.add_argument(
+        "--background",
+        type=Path,
+        metavar="IMAGE",
+        help="picture under the map: a GeoTIFF, or a PNG or JPEG with a world file beside it or --bounds",
+    )
+    parser.add_argument(
+        "--bounds",
+        type=_bounds,
+        metavar="WEST,SOUTH,EAST,NORTH",
+        help="with --background: the image's edges, degrees",
+    )
+    cli.add_output_guard(parser)
+    parser.add_argument(
+        "--json", action="store_true", help="print the figures as one JSON object on the last line of stdout"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the documents; returns the exit status: 1 if pieces of the record are missing.
+
+    Raises BadInput.
+    """
+    if args.bounds and not args.background:
+        raise cli.BadInput("--bounds: only with --background")
+    folder = args.out or args.log.with_name(f"{args.log.stem}-findings")
+    refuse(folder, args.force)
+    try:
+        if not is_record(args.log):
+            raise cli.BadInput(
+                f"{args.log} is not a record of a search; of a log of an autopilot `plumeward replay "
+                f"{args.log} --findings DIR` makes findings"
+            )
+        flight = flight_of(args.log)
+    except RecordError as error:
+        raise cli.BadInput(str(error)) from None
+    if flight is None:
+        raise cli.BadInput(f"{args.log} has no belief that can be read: there was no search")
+    picture = _background(args, flight.home)
+    it = findings_of(flight)
+    results = sys.stderr if args.json else sys.stdout
+    save(it, folder, picture)
+    tell(f"{sentence(it)}\nfindings {folder / 'findings.html'}", results)
+    if flight.remark:
+        tell(f"warning: {args.log} {flight.remark}")
+    if args.json:
+        print(json.dumps(json.loads(figures_json(it))))
+    return cli.FAILED if flight.is_damaged else 0
+
+
+def refuse(folder: Path, force: bool, flag: str = "--out") -> None:
+    """Raise BadInput if the documents cannot be written into a folder, or would replace others."""
+    if folder.exists() and not folder.is_dir():
+        raise cli.BadInput(f"{flag}: {str(folder)!r} is not a folder")
+    paths = [folder / name for name in DOCUMENTS]
+    if reason := cli.existing(flag, paths, force):
+        raise cli.BadInput(reason)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise cli.BadInput(f"{flag}: {str(folder)!r} cannot be made: {error.strerror}") from None
+    if reason := cli.unwritable(flag, paths, force=True):
+        raise cli.BadInput(reason)
+
+
+def save(it: Findings, folder: Path, picture: Background | None = None) -> None:
+    """Write the documents; raises BadInput if the folder does not take them."""
+    try:
+        write(it, folder, picture)
+    except OSError as error:
+        raise cli.BadInput(f"{folder}: {error.strerror}") from None
+
+
+def _background(args: argparse.Namespace, home: tuple[float, float] | None) -> Background | None:
+    if args.background is None:
+        return None
+    if home is None:
+        raise cli.BadInput(f"--background: {args.log} does not say where on earth its area lies")
+    try:
+        return background(args.background, home, args.bounds)
+    except BackgroundError as error:
+        raise cli.BadInput(f"--background: {error}") from None

@@ -1,0 +1,347 @@
+"""The findings for other programs: GeoJSON (RFC 7946), KML 2.2, CSV and JSON."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any
+from xml.sax.saxutils import escape
+
+from ground.findings.figures import KG_H, Findings, as_json
+from ground.findings.numbers import utc
+from ground.findings.words import place_text, rate_text
+from link.terminal import printable
+from scene.scene import Point
+
+Position = list[float]  # longitude, latitude: GeoJSON's and KML's order
+DECIMALS = 8  # of degrees: a millimetre
+
+
+# ---- GeoJSON ----
+
+
+def geojson(it: Findings) -> str:
+    """Return a FeatureCollection: source, regions, track, readings, area, and the smallest rates if any.
+
+    Without a home there are no positions, and the geometries are null.
+    """
+    last, figures = it.last, as_json(it)
+    source = {
+        name: figures[name]
+        for name in (
+            *("verdict", "sentence", "reasons", "latitude_deg", "longitude_deg", "covariance_m2", "spread_m"),
+            *("rate_gs", "rate_interval_gs", "rate_kgh", "rate_interval_kgh", "height_m"),
+            *("assume", "began_utc", "ended_utc", "units"),
+        )
+    }
+    source["record_sha256"] = it.flight.sha256
+    features = [
+        _feature("source", _point(it, last.mean), source),
+        _feature("region_95_ellipse", _polygons(it, [it.ellipse.outline.tolist()]), {"share": 0.95}),
+    ]
+    if it.contour:
+        rings = [ring.tolist() for ring in it.contour.rings]
+        features.append(_feature("region_95_contour", _polygons(it, rings), {"share": 0.95}))
+    corner, side = 0.0, it.area_m
+    square = [[corner, corner], [side, corner], [side, side], [corner, side], [corner, corner]]
+    features.append(_feature("area", _polygons(it, [square]), {"side_m": side}))
+    if len(it.flight.track) > 1:
+        track = _line(it, it.flight.track.tolist())
+        features.append(_feature("track", track, {"points": len(it.flight.track)}))
+    for sample in it.flight.samples:
+        told = {
+            "step": sample.step,
+            "time_utc": utc(sample.utc_ns),
+            "gas": sample.gas,
+            "unit": it.unit,
+            "altitude_m": sample.altitude_m,
+            "wind_east_mps": sample.wind[0],
+            "wind_north_mps": sample.wind[1],
+            "spread_m": sample.spread_m,
+        }
+        features.append(_feature("reading", _point(it, sample.place), told))
+    if it.smallest:
+        features += _cells(it)
+    return json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False)
+
+
+def _feature(kind: str, geometry: dict[str, Any] | None, properties: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "type": "Feature",
+        "geometry": geometry,
+        "properties": {"kind": kind, **_finite(properties)},
+    }
+
+
+def _finite(value: Any) -> Any:
+    """Return a JSON-able value with null for what JSON cannot say."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(name): _finite(inner) for name, inner in value.items()}
+    return [_finite(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+def _position(it: Findings, place: Sequence[float]) -> Position | None:
+    there = it.on_earth(place)
+    return None if there is None else [round(there[1], DECIMALS), round(there[0], DECIMALS)]
+
+
+def _positions(it: Findings, places: Iterable[Sequence[float]]) -> list[Position]:
+    return [there for place in places if (there := _position(it, place))]
+
+
+def _point(it: Findings, place: Sequence[float]) -> dict[str, Any] | None:
+    there = _position(it, place)
+    return None if there is None else {"type": "Point", "coordinates": there}
+
+
+def _line(it: Findings, places: Sequence[Sequence[float]]) -> dict[str, Any] | None:
+    return None if it.flight.home is None else {"type": "LineString", "coordinates": _positions(it, places)}
+
+
+def _polygons(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> dict[str, Any] | None:
+    """Return a Polygon, or a MultiPolygon of several outer rings, each with the holes within it.
+
+    None without a home, or if they lie nowhere on earth.
+    """
+    if it.flight.home is None or not _are_on_earth(it, rings):
+        return None
+    polygons = [[_positions(it, ring) for ring in rings_of] for rings_of in grouped(rings)]
+    if not polygons:
+        return None
+    if len(polygons) == 1:
+        return {"type": "Polygon", "coordinates": polygons[0]}
+    return {"type": "MultiPolygon", "coordinates": polygons}
+
+
+def _are_on_earth(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> bool:
+    return all(it.on_earth(place) for ring in rings for place in ring)
+
+
+def grouped(rings: Sequence[Sequence[Sequence[float]]]) -> list[list[Sequence[Sequence[float]]]]:
+    """Return outer rings, which run counter-clockwise, each with its holes after it."""
+    outer = [[ring] for ring in rings if _twice_area(ring) > 0]
+    outer.sort(key=lambda group: _twice_area(group[0]))
+    for hole in (ring for ring in rings if _twice_area(ring) <= 0):
+        for group in outer:  # the smallest around it
+            if _is_within(hole[0], group[0]):
+                group.append(hole)
+                break
+    return outer
+
+
+def _twice_area(ring: Sequence[Sequence[float]]) -> float:
+    return math.fsum(a[0] * b[1] - b[0] * a[1] for a, b in pairwise(ring))
+
+
+def _is_within(place: Sequence[float], ring: Sequence[Sequence[float]]) -> bool:
+    x, y = place
+    crossings = 0
+    for (x0, y0), (x1, y1) in pairwise(ring):
+        if (y0 > y) != (y1 > y) and x < x0 + (y - y0) * (x1 - x0) / (y1 - y0):
+            crossings += 1
+    return crossings % 2 == 1
+
+
+def _cells(it: Findings) -> list[dict[str, Any]]:
+    assert it.smallest
+    centres = it.smallest.centres_m.tolist()
+    half = 0.5 * (centres[1] - centres[0])
+    features = []
+    for row, y in zip(it.smallest.rates_gs.tolist(), centres, strict=True):
+        for rate, x in zip(row, centres, strict=True):
+            west, south, east, north = x - half, y - half, x + half, y + half
+            ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+            features.append(_feature("smallest_rate", _polygons(it, [ring]), {"rate_gs": rate}))
+    return features
+
+
+# ---- KML ----
+
+KML_STYLES = {
+    "source": "<IconStyle><color>ff005ed5</color></IconStyle>",
+    "region": "<LineStyle><color>ffb27200</color><width>2</width></LineStyle>"
+    "<PolyStyle><color>33b27200</color></PolyStyle>",
+    "area": "<LineStyle><color>ff7d6b5b</color><width>1</width></LineStyle>"
+    "<PolyStyle><fill>0</fill></PolyStyle>",
+    "track": "<LineStyle><color>ff292119</color><width>2</width></LineStyle>",
+    "reading": "<IconStyle><color>ff009fe6</color><scale>0.4</scale></IconStyle>"
+    "<LabelStyle><scale>0</scale></LabelStyle>",
+}
+
+
+def kml(it: Findings) -> str:
+    """Return a KML document with the source, its regions, the area, the track and the readings."""
+    source = _lines(it.verdict.sentence, place_text(it), rate_text(it))
+    marks = []
+    if it.flight.home is not None:
+        marks += [
+            _placemark("source", "Source (estimate)", source, _kml_point(it, it.last.mean)),
+            _placemark("region", "95% region: ellipse", "", _kml_polygon(it, [it.ellipse.outline.tolist()])),
+        ]
+        if it.contour:
+            for rings in grouped([ring.tolist() for ring in it.contour.rings]):
+                marks.append(_placemark("region", "95% region: particles", "", _kml_polygon(it, rings)))
+        side = it.area_m
+        square = [[0.0, 0.0], [side, 0.0], [side, side], [0.0, side], [0.0, 0.0]]
+        marks.append(_placemark("area", "Search area", "", _kml_polygon(it, [square])))
+        if len(it.flight.track) > 1:
+            places = _coordinates(it, it.flight.track.tolist())
+            line = f"<LineString><tessellate>1</tessellate>{places}</LineString>"
+            marks.append(_placemark("track", "Track", "", line))
+        marks += [
+            _placemark(
+                "reading",
+                f"Reading {sample.step}",
+                _lines(f"{sample.gas:.4g} {it.unit}", utc(sample.utc_ns)),
+                _kml_point(it, sample.place),
+                when=utc(sample.utc_ns),
+            )
+            for sample in it.flight.samples
+        ]
+    styles = "".join(f'<Style id="{name}">{style}</Style>\n' for name, style in KML_STYLES.items())
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2">\n<Document>\n'
+        f"<name>{_xml(f'Plumeward: {it.flight.path.name}')}</name>\n"
+        f"<description>{_xml(it.verdict.sentence)}</description>\n{styles}{''.join(marks)}</Document>\n</kml>\n"
+    )
+
+
+def _xml(text: str) -> str:
+    return escape(printable(text))
+
+
+def _lines(*lines: str) -> str:
+    return "\n".join(map(printable, lines))
+
+
+def _placemark(style: str, name: str, about: str, geometry: str, when: str = "") -> str:
+    stamp = f"<TimeStamp><when>{when}</when></TimeStamp>" if when and when != "unknown" else ""
+    described = f"<description>{escape(about)}</description>" if about else ""
+    return (
+        f"<Placemark><name>{_xml(name)}</name>{described}{stamp}<styleUrl>#{style}</styleUrl>"
+        f"{geometry}</Placemark>\n"
+    )
+
+
+def _coordinates(it: Findings, places: Iterable[Sequence[float]]) -> str:
+    told = " ".join(f"{lon:.{DECIMALS}f},{lat:.{DECIMALS}f}" for lon, lat in _positions(it, places))
+    return f"<coordinates>{told}</coordinates>"
+
+
+def _kml_point(it: Findings, place: Point) -> str:
+    return f"<Point>{_coordinates(it, [place])}</Point>"
+
+
+def _kml_polygon(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> str:
+    if not _are_on_earth(it, rings):
+        return ""
+    edges = ["outerBoundaryIs", *["innerBoundaryIs"] * (len(rings) - 1)]
+    told = "".join(
+        f"<{edge}><LinearRing>{_coordinates(it, ring)}</LinearRing></{edge}>"
+        for edge, ring in zip(edges, rings, strict=True)
+    )
+    return f"<Polygon><tessellate>1</tessellate>{told}</Polygon>"
+
+
+# ---- CSV ----
+
+
+def readings_csv(it: Findings) -> str:
+    """Return the readings as CSV: a row each, with the unit in the name of each column."""
+    heads = [
+        *("step", "time_utc", "latitude_deg", "longitude_deg", "x_m", "y_m", "altitude_m"),
+        *("gas", "gas_unit", "wind_east_mps", "wind_north_mps", "spread_m"),
+    ]
+    rows = []
+    for sample in it.flight.samples:
+        lat, lon = it.on_earth(sample.place) or (math.nan, math.nan)
+        rows.append(
+            [
+                sample.step,
+                utc(sample.utc_ns),
+                *(f"{value:.{DECIMALS}f}" if math.isfinite(value) else "" for value in (lat, lon)),
+                *(_plain(value) for value in (*sample.place, sample.altitude_m, sample.gas)),
+                it.unit,
+                *(_plain(value) for value in (*sample.wind, sample.spread_m)),
+            ]
+        )
+    return _written(heads, rows)
+
+
+def figures_csv(it: Findings) -> str:
+    """Return the figures as CSV: name, value, ends of the 95% interval, unit."""
+    last, rate = it.last, it.rate
+    lat, lon = it.on_earth(last.mean) or (None, None)
+    flight = it.flight
+    rows: list[list[Any]] = [
+        ["verdict", it.verdict.kind, None, None, ""],
+        ["sentence", it.verdict.sentence, None, None, ""],
+        ["latitude", lat, None, None, "deg"],
+        ["longitude", lon, None, None, "deg"],
+        ["x", last.mean[0], None, None, "m"],
+        ["y", last.mean[1], None, None, "m"],
+        *([f"covariance {name}", value, None, None, "m²"] for name, value in _covariance(it)),
+        ["ellipse, longer half axis", it.ellipse.longer_m, None, None, "m"],
+        ["ellipse, shorter half axis", it.ellipse.shorter_m, None, None, "m"],
+        ["ellipse, bearing of the longer half axis", it.ellipse.bearing_deg, None, None, "deg"],
+        ["height", *(it.height or (last.z, None, None)), "m"],
+        ["rate", *rate, "g/s"],
+        ["rate", *rate.times(KG_H), "kg/h"],
+        ["wind speed, measured", it.wind.speed_mps, None, None, "m/s"],
+        ["wind direction, measured, from", it.wind.from_deg, None, None, "deg"],
+        *([["wind speed, believed", *it.wind.believed_speed, "m/s"]] if it.wind.believed_speed else []),
+        *(
+            [["wind direction, believed, from", *it.wind.believed_from, "deg"]]
+            if it.wind.believed_from
+            else []
+        ),
+        ["diffusivity, told", last.diffusivity, None, None, "m²/s"],
+        ["sensor", last.sensor, None, None, it.unit],
+        ["assumption", last.assume, None, None, ""],
+        ["stop", last.stop, None, None, ""],
+        ["began", utc(flight.began_ns), None, None, "UTC"],
+        ["ended", utc(flight.ended_ns), None, None, "UTC"],
+        ["record", flight.path.name, None, None, ""],
+        ["record SHA-256", flight.sha256, None, None, ""],
+        *(["warning", f"{utc(it.utc_ns)} {it.who}: {it.text}", None, None, ""] for it in flight.warnings),
+    ]
+    return _written(["figure", "value", "low_95", "high_95", "unit"], rows)
+
+
+def _covariance(it: Findings) -> list[tuple[str, float]]:
+    return list(zip(("xx", "xy", "yy"), it.last.covariance, strict=True))
+
+
+def _plain(value: float) -> str:
+    return f"{value:.9g}" if math.isfinite(value) else ""
+
+
+def _written(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(heads)
+    writer.writerows([cell(value) for value in row] for row in rows)
+    return text.getvalue()
+
+
+def cell(value: Any) -> Any:
+    """Return a value as a cell. A text that a spreadsheet would take for a formula gets an apostrophe."""
+    if value is None or isinstance(value, int):
+        return "" if value is None else value
+    if isinstance(value, float):
+        return _plain(value)
+    text = printable(str(value))
+    try:
+        float(text)
+    except ValueError:
+        return f"'{text}" if text.lstrip()[:1] in ("=", "+", "-", "@") else text
+    return text
+
+
+def figures_json(it: Findings) -> str:
+    """Return all figures as one JSON object."""
+    return json.dumps(_finite(as_json(it)), indent=1, ensure_ascii=False, allow_nan=False) + "\n"

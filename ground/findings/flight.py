@@ -1,0 +1,219 @@
+"""A flight as its record tells it: readings, the last belief, the track, and what was said meanwhile."""
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from link.bus.keys import BELIEF, READING
+from link.bus.mavlink import Reading, unpack_reading
+from link.bus.messages import Belief, Particles, unpack_particles
+from link.record.reader import Recording, read
+from link.record.record import Entry
+from plume.geodesy import to_global
+from scene.follow.history import History, history_of, remark_on
+from scene.scene import ERROR, WARNING, Point
+
+Home = tuple[float, float]  # latitude and longitude of the area's corner, degrees, WGS84
+NS = 1_000_000_000
+CHUNK = 1 << 20
+
+
+class FlownReading(NamedTuple):
+    """One reading that the estimator took, and the spread of its belief after it."""
+
+    step: int
+    utc_ns: int  # when it was published, ns since the Unix epoch
+    time_s: float  # simulation time
+    place: Point
+    altitude_m: float  # above home
+    gas: float  # in the sensor's unit
+    wind: tuple[float, float]  # as measured: (east, north) m/s, points to where it comes from
+    spread_m: float
+
+
+class Remark(NamedTuple):
+    """Something that was said during the mission and that a reader of its findings should know."""
+
+    utc_ns: int
+    who: str
+    text: str
+
+
+class Flight(NamedTuple):
+    """What a record tells of its last mission."""
+
+    path: Path
+    sha256: str
+    about: dict[str, Any]  # the run's own description
+    home: Home | None  # None: nobody said where the area is
+    home_by: str  # who said so, in words
+    samples: list[FlownReading]
+    last: Belief
+    particles: Particles | None  # of the last belief; None if the record has none
+    track: NDArray[np.float32]  # (K, 2) m
+    warnings: list[Remark]
+    estimator_warned: list[Remark]  # those of the estimator: of stops that would not be honest
+    remark: str  # what the record itself lacks, after its name; empty if it is whole
+    is_damaged: bool  # pieces of the record are missing
+    budget: int | None
+
+    @property
+    def began_ns(self) -> int:
+        """When the first reading was published, ns since the Unix epoch."""
+        return self.samples[0].utc_ns
+
+    @property
+    def ended_ns(self) -> int:
+        """When the last reading was published, ns since the Unix epoch."""
+        return self.samples[-1].utc_ns
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal."""
+    found = hashlib.sha256()
+    with path.open("rb") as file:
+        while chunk := file.read(CHUNK):
+            found.update(chunk)
+    return found.hexdigest()
+
+
+def flight_of(path: Path) -> Flight | None:
+    """Return what a record tells; None if it has no belief that can be read. Raises RecordError."""
+    recording = read(path)
+    return gathered(recording, path)
+
+
+def home_of(recording: Recording) -> tuple[Home | None, str]:
+    """Return where the area's corner is by a record, and who says so."""
+    return _home(history_of(recording), recording.about)
+
+
+def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = None) -> Flight | None:
+    """Return the last mission of what was recorded; None if there is no belief that can be read.
+
+    replayed_at: corner of the area, where the record is of another vehicle's log, whose own frame is another.
+    path: the file of the record, or of the log.
+    """
+    beliefs = _beliefs(recording.entries)
+    if not beliefs:
+        return None
+    history = history_of(recording)
+    readings = _readings(recording.entries)
+    samples = [_sample(said, entry, readings.get(said.time_boot_ms)) for said, entry in beliefs]
+    last, entry = beliefs[-1]
+    try:
+        particles = unpack_particles(entry.attachment, len(last.unknowns)) if entry.attachment else None
+    except ValueError:
+        particles = None
+    home, home_by = _home(history, recording.about)
+    if replayed_at:
+        home, home_by = replayed_at, "the log"
+    scene = history.at()
+    clock = _Clock(recording.entries)
+    said = (
+        Remark(clock.utc_ns(it.time_s), it.who, it.text)
+        for it in scene.happenings
+        if it.level in (WARNING, ERROR)
+    )
+    warnings = [*{(it.utc_ns // NS, it.who, it.text): it for it in said}.values()]  # one a second
+    budget = recording.about.get("budget")
+    return Flight(
+        path=path,
+        sha256=sha256_of(path),
+        about=recording.about,
+        home=home,
+        home_by=home_by,
+        samples=samples,
+        last=last,
+        particles=particles,
+        # The vehicle's own frame begins elsewhere than the area of a log.
+        track=np.array([it.place for it in samples], np.float32) if replayed_at else scene.track,
+        warnings=warnings,
+        estimator_warned=[it for it in warnings if it.who == "estimator"],
+        remark=remark_on(recording, history),
+        is_damaged=bool(recording.damage),
+        budget=budget if isinstance(budget, int) else None,
+    )
+
+
+def _beliefs(entries: Iterable[Entry]) -> list[tuple[Belief, Entry]]:
+    """Return the beliefs of the last mission in the order of their steps, each with its message.
+
+    A first belief of another reading begins a mission; a restarted estimator says the same ones again.
+    """
+    found: dict[int, tuple[Belief, Entry]] = {}
+    for entry in sorted(entries, key=lambda entry: entry.published_ns):
+        if entry.key != BELIEF.name:
+            continue
+        with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            said = msgspec.json.decode(entry.payload, type=Belief)
+            if said.step == 0 and 0 in found and found[0][0].time_boot_ms != said.time_boot_ms:
+                found = {}
+            if said.step not in found or not found[said.step][1].attachment:
+                found[said.step] = said, entry
+    return [found[step] for step in sorted(found)]
+
+
+def _readings(entries: Iterable[Entry]) -> dict[int, tuple[Reading, Entry]]:
+    """Return the readings by their time_boot_ms; of one that was sent again the first."""
+    found: dict[int, tuple[Reading, Entry]] = {}
+    for entry in entries:
+        if entry.key == READING.name:
+            with suppress(ValueError):  # BadFrame among them
+                said = unpack_reading(entry.payload)
+                found.setdefault(said.time_boot_ms, (said, entry))
+    return found
+
+
+def _sample(said: Belief, entry: Entry, reading: tuple[Reading, Entry] | None) -> FlownReading:
+    """Return the reading that a belief answers; one that the record lacks is as the belief says."""
+    wind = reading[0].wind if reading else said.wind
+    at = reading[1] if reading else entry
+    return FlownReading(
+        said.step,
+        at.published_ns,
+        entry.simulation_s,
+        said.position,
+        said.altitude_m,
+        said.gas,
+        wind,
+        said.spread,
+    )
+
+
+def _home(history: History, about: dict[str, Any]) -> tuple[Home | None, str]:
+    """Return where the area's corner is, and who says so."""
+    if (fix := history.home) is not None and any(fix[:2]):
+        return fix[:2], "the vehicle's HOME_POSITION"
+    craft = history.craft
+    if craft and craft.fix and craft.position[0] == craft.position[0]:
+        (east, north), (lat, lon, _) = craft.position, craft.fix
+        return to_global(lat, lon, -north, -east), "the vehicle's last position"
+    mission = about.get("mission")
+    vehicle = mission.get("vehicle") if isinstance(mission, dict) else None
+    if isinstance(vehicle, dict) and "vehicle" not in about:
+        told = vehicle.get("home_lat_deg"), vehicle.get("home_lon_deg")
+        if all(isinstance(it, float) and abs(it) <= 180 for it in told) and abs(told[0]) <= 90:
+            return told, "the mission's own description"
+    return None, "nobody"
+
+
+class _Clock:
+    """From simulation time to the clock, by the messages of a record."""
+
+    def __init__(self, entries: Sequence[Entry]) -> None:
+        times_s = np.array([entry.simulation_s for entry in entries])
+        order = np.argsort(times_s, kind="stable")
+        self._times_s = times_s[order]
+        self._walls_ns = np.array([entry.published_ns for entry in entries])[order]
+
+    def utc_ns(self, time_s: float) -> int:
+        """Return when something of a simulation time was said, ns since the Unix epoch."""
+        at = min(int(np.searchsorted(self._times_s, time_s)), len(self._times_s) - 1)
+        return int(self._walls_ns[at])

@@ -1,0 +1,111 @@
+"""Protects the background of the map: an image lies where its georeference says, and a wrong one is one line."""
+
+import math
+from pathlib import Path
+
+import pytest
+from PIL import Image, TiffImagePlugin
+
+from ground.findings.background import BackgroundError, background, from_utm, from_web_mercator
+from plume.geodesy import to_global
+
+HOME = (47.397742, 8.545594)
+
+
+def image(path: Path, **saved: object) -> Path:
+    Image.new("RGB", (40, 20), (10, 120, 60)).save(path, **saved)
+    return path
+
+
+def tagged(
+    path: Path, scale: tuple[float, float], tie: tuple[float, float], keys: list[tuple[int, int]]
+) -> Path:
+    """Write a GeoTIFF whose upper left corner is at `tie`."""
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[33550], tags.tagtype[33550] = (*scale, 0.0), 12
+    tags[33922], tags.tagtype[33922] = (0.0, 0.0, 0.0, *tie, 0.0), 12
+    words = [1, 1, 0, len(keys)]
+    for key, value in keys:
+        words += [key, 0, 1, value]
+    tags[34735], tags.tagtype[34735] = tuple(words), 3
+    return image(path, tiffinfo=tags)
+
+
+def edges() -> tuple[float, float, float, float]:
+    south, west = HOME
+    north, east = to_global(*HOME, 20.0, 40.0)
+    return west, south, east, north
+
+
+def test_an_image_with_bounds_lies_between_them(tmp_path: Path) -> None:
+    found = background(image(tmp_path / "site.png"), HOME, edges())
+    a, b, c, d, e, f = found.to_plane
+    assert (c, f) == pytest.approx((0.0, 20.0), abs=0.01)  # its upper left corner
+    assert (40 * a + 20 * b + c, 40 * d + 20 * e + f) == pytest.approx((40.0, 0.0), abs=0.01)
+    assert found.uri.startswith("data:image/")
+
+
+def test_a_geotiff_in_degrees_and_a_world_file_place_it_alike(tmp_path: Path) -> None:
+    west, south, east, north = edges()
+    scale = (east - west) / 40, (north - south) / 20
+    tiff = tagged(tmp_path / "site.tif", scale, (west, north), [(1024, 2), (1025, 1), (2048, 4326)])
+    png = image(tmp_path / "site.png")
+    lines = (scale[0], 0.0, 0.0, -scale[1], west + scale[0] / 2, north - scale[1] / 2)
+    (tmp_path / "site.pgw").write_text("\n".join(map(repr, lines)))
+    wanted = background(png, HOME, edges()).to_plane
+    assert background(tiff, HOME, None).to_plane == pytest.approx(wanted, abs=1e-3)
+    assert background(png, HOME, None).to_plane == pytest.approx(wanted, abs=1e-3)
+
+
+def test_a_geotiff_in_utm_lies_where_its_corner_is(tmp_path: Path) -> None:
+    # EPSG:32632 of HOME: the meridian of zone 32 is 9° east.
+    tiff = tagged(tmp_path / "site.tif", (1.0, 1.0), (465_694.0, 5_249_500.0), [(1024, 1), (3072, 32632)])
+    a, _, c, _, e, f = background(tiff, HOME, None).to_plane
+    lat, lon = from_utm(32, False, 465_694.0, 5_249_500.0)
+    assert to_global(*HOME, f, c) == pytest.approx((lat, lon), abs=1e-7)
+    assert (a, -e) == pytest.approx((1.0, 1.0), rel=0.005)  # the sphere is not the ellipsoid
+
+
+@pytest.mark.parametrize(
+    ("zone", "is_south", "east", "north", "lat", "lon"),
+    [
+        (31, False, 500_000.0, 0.0, 0.0, 3.0),
+        (31, True, 500_000.0, 10_000_000.0, 0.0, 3.0),
+        (31, False, 448_251.898, 5_411_943.794, 48.85823, 2.29449),  # the Eiffel Tower
+    ],
+)
+def test_utm_is_turned_into_degrees(
+    zone: int, is_south: bool, east: float, north: float, lat: float, lon: float
+) -> None:
+    assert from_utm(zone, is_south, east, north) == pytest.approx((lat, lon), abs=2e-4)
+
+
+def test_web_mercator_is_turned_into_degrees() -> None:
+    assert from_web_mercator(math.pi * 6_378_137.0, math.pi * 6_378_137.0) == pytest.approx(
+        (85.05112878, 180.0), abs=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda path: path.write_bytes(b""), "not an image"),
+        (lambda path: path.write_bytes(b"\x89PNG\r\n\x1a\nrest"), "not an image"),
+        (lambda path: path.mkdir(), "Is a directory"),
+        (lambda path: None, "No such file"),
+        (lambda path: image(path), "does not say where it lies"),
+    ],
+    ids=["empty", "broken", "folder", "missing", "nowhere"],
+)
+def test_a_wrong_image_is_one_line(tmp_path: Path, make: object, said: str) -> None:
+    path = tmp_path / "site.png"
+    make(path)  # type: ignore[operator]
+    with pytest.raises(BackgroundError, match=said) as error:
+        background(path, HOME, None)
+    assert "\n" not in str(error.value)
+
+
+def test_a_geotiff_of_another_reference_system_is_refused_by_its_number(tmp_path: Path) -> None:
+    tiff = tagged(tmp_path / "site.tif", (1.0, 1.0), (0.0, 0.0), [(1024, 1), (3072, 2056)])
+    with pytest.raises(BackgroundError, match="EPSG:2056"):
+        background(tiff, HOME, None)

@@ -1,0 +1,98 @@
+"""Protects the command `findings`: a record becomes a folder of documents, and bad input is one line."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from ground.findings.documents import DOCUMENTS
+from link import cli
+from sitl.launch.recording import FINDINGS
+from tests.ground.findings.records import FOUND
+
+
+def written(*words: str) -> int:
+    return cli.start("findings", cli.Command("ground.findings.command", ""), words)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    shutil.copy(FOUND, tmp_path / "log.mcap")
+    return tmp_path / "log.mcap"
+
+
+def test_the_documents_lie_beside_the_record_and_are_not_written_over_unasked(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert written(str(log)) == 0
+    folder = log.with_name("log-findings")
+    assert sorted(path.name for path in folder.iterdir()) == sorted(DOCUMENTS)
+    before = (folder / "findings.html").read_bytes()
+    capsys.readouterr()
+    assert written(str(log)) == 2
+    assert capsys.readouterr().err == (
+        f"error: --out: {str(folder / 'findings.html')!r} exists; wanted another name, or --force\n"
+    )
+    assert (folder / "findings.html").read_bytes() == before
+    assert written(str(log), "--force") == 0
+
+
+def test_the_json_is_one_line_on_stdout(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert written(str(log), "--json") == 0
+    [line] = capsys.readouterr().out.splitlines()
+    said = json.loads(line)
+    assert said["verdict"] in ("found", "doubtful")
+    assert said == json.loads((log.with_name("log-findings") / "findings.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["none.mcap"], "none.mcap: No such file or directory"),
+        (["empty.mcap"], "empty.mcap is empty"),
+        (["text.tlog"], "plumeward replay text.tlog --findings DIR"),
+        (["log.mcap", "--bounds", "1,2,3,4"], "--bounds: only with --background"),
+        (["log.mcap", "--background", "none.png"], "--background: none.png: No such file"),
+        (["log.mcap", "--out", "text.tlog"], "--out: 'text.tlog' is not a folder"),
+    ],
+    ids=lambda it: it[-1] if isinstance(it, list) else "",
+)
+def test_bad_input_is_one_line(
+    log: Path,
+    words: list[str],
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(log.parent)
+    Path("empty.mcap").touch()
+    Path("text.tlog").write_text("no record")
+    assert written(*words) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("bounds", ["1,2,3", "9,47,8,48", "8,48,9,47", "a,b,c,d", "8,47,nan,48"])
+def test_bounds_are_west_south_east_north(log: Path, bounds: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        written(str(log), "--background", "x.png", "--bounds", bounds)
+    assert "wanted WEST,SOUTH,EAST,NORTH" in capsys.readouterr().err
+
+
+def test_a_record_that_is_cut_off_gives_what_it_has_and_says_so(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = log.read_bytes()
+    log.write_bytes(data[: len(data) // 2])
+    status = written(str(log), "--force")
+    told = capsys.readouterr().err
+    if status != 2:  # some of its beliefs could be read
+        assert "warning: " in told
+        assert "the record" in (log.with_name("log-findings") / "findings.html").read_text()
+    assert told.count("\n") == 1
+
+
+def test_fly_looks_for_the_files_that_findings_writes() -> None:
+    assert tuple(DOCUMENTS) == FINDINGS

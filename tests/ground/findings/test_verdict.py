@@ -1,0 +1,66 @@
+"""Protects the verdict: a find that deserves doubt is not told as one that does not."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from ground.findings.flight import Remark
+from ground.findings.verdict import DOUBTFUL, FOUND, NOT_FOUND, OUTSIDE, Judgement, verdict
+from plume.sensors.names import parse
+from tests.ground.findings.records import FOUND as RECORD
+from tests.ground.findings.records import findings
+
+
+def judged(sensor: str = "", warned: str = "", remark: str = "", **changes: Any) -> Judgement:
+    it = findings(RECORD)
+    flight = it.flight._replace(last=msgspec.structs.replace(it.last, **changes), remark=remark)
+    if warned:
+        flight = flight._replace(estimator_warned=[Remark(0, "estimator", warned)])
+    told = it.told._replace(sensor=parse(sensor)) if sensor else it.told
+    return verdict(flight, told)
+
+
+def test_a_stop_without_a_warning_is_a_find() -> None:
+    assert judged(advised_dwell=0.0).kind == FOUND
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"warned": "the readings do not fit the model (p = 1e-06 over the last 30)"}, "warned in flight"),
+        ({"wind_p_value": 1e-6}, "the wind was not the same"),
+        ({"sensor": "tgs2620"}, "metal oxide"),
+        ({"advised_dwell": 2.0}, "came and went"),
+        ({"remark": "is cut off"}, "cut off"),
+    ],
+)
+def test_a_stop_is_doubtful_and_says_why(changes: dict[str, Any], why: str) -> None:
+    said = judged(**changes)
+    assert said.kind == DOUBTFUL
+    assert why in said.sentence
+    assert any(why in reason for reason in said.reasons)
+
+
+def test_a_belief_outside_the_area_is_outside_and_says_where_to() -> None:
+    said = judged(outside=0.97, mean=(35.0, 12.0))
+    assert said.kind == OUTSIDE
+    assert "to the east (97% of the belief)" in said.sentence
+
+
+def test_a_narrow_belief_whose_stop_was_withheld_is_doubtful() -> None:
+    said = judged(ceased=False, spread=0.3, evidence=1.0)
+    assert said.kind == DOUBTFUL
+    assert "the sensor may hum" in said.sentence
+    assert judged(ceased=False, spread=0.3, p_value=1e-6).kind == DOUBTFUL
+
+
+def test_a_search_without_a_stop_found_nothing_and_says_whether_there_was_gas() -> None:
+    assert judged(ceased=False, spread=9.0, evidence=0.0).kind == NOT_FOUND
+    assert "need no source" in judged(ceased=False, spread=9.0, evidence=0.0).sentence
+    assert "hold gas of a source" in judged(ceased=False, spread=9.0, evidence=20.0).sentence
+
+
+def test_the_verdict_of_the_golden_record_is_told_in_a_sentence() -> None:
+    assert findings(Path(RECORD)).verdict.sentence.endswith(".")
