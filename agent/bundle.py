@@ -16,7 +16,7 @@ from agent.planning.moves import Headings, Move, Reach
 from link.bus.messages import Belief, Particles
 from link.files import whole
 from plume.elementary import Array
-from plume.scenario import AREA_M
+from plume.problem import AREA
 
 FORMAT = 1
 GRAPH, PAGE = "policy.onnx", "bundle.json"
@@ -89,7 +89,7 @@ class Bundle:
                 f"{GRAPH} gives arrays of {[list(said.shape)]}; wanted one, of [1, {page.move.outputs}]"
             )
         # Moves are compiled when the first is made: now, not in flight.
-        page.move.waypoints(np.zeros((1, 2)), np.zeros((1, 3)), page.move.action(said), AREA_M)
+        page.move.waypoints(np.zeros((1, 2)), np.zeros((1, 3)), page.move.action(said), AREA)
 
     def said(self, observation: NDArray[np.float32]) -> Array:
         """Return the network's output for an observation (F,): (1, A).
@@ -113,7 +113,7 @@ class Bundle:
         observation, frame = self._schema.see(belief, particles)
         move = self.page.move
         action = move.action(self.said(observation))
-        x, y = move.waypoints(np.array([belief.position]), frame[None], action, reach.area_m)[0].tolist()
+        x, y = move.waypoints(np.array([belief.position]), frame[None], action, reach.area)[0].tolist()
         return x, y
 
 

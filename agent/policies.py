@@ -16,8 +16,9 @@ from agent.planners import registry
 from agent.planning.moves import Reach
 from link import cli
 from link.bus.messages import Belief, Particles
+from plume.problem import PAPER, Problem
 from plume.randomness import keyed
-from plume.scenario import AREA_M
+from plume.scenario import STEP_M
 
 # (belief, particles, how it may move, keyed randomness) -> the next waypoint (x, y) m.
 Policy = Callable[[Belief, Particles, Reach, np.random.Generator], Sequence[float]]
@@ -31,6 +32,11 @@ LEARNED = {
 # Learned policies that come with the project, made by `make train`.
 SHIPPED = {name: Path(__file__).parent / "bundles" / f"{name}.zip" for name in LEARNED}
 OURS = (*registry.PLANNERS, *SHIPPED)  # the policies of the project, in the order of its tables
+# Why a learned policy refuses a problem.
+TRAINED = (
+    f"learned policies search the area that they were trained in, {PAPER.area.text}, in steps of "
+    f"{PAPER.step_m:g} m, with the source expected anywhere in it"
+)
 DEFAULT = "homing"  # the best policy that needs no training
 PLUGINS = "plumeward.policies"  # entry points of this group are policies of other packages: docs/policies.md
 
@@ -158,23 +164,30 @@ def _planned(name: str) -> Policy:
     return waypoint
 
 
-def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: float = AREA_M) -> Reach:
-    """Return what a policy may choose from: the planner's own `Reach`, with the area and the given fields.
+def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), problem: Problem = PAPER) -> Reach:
+    """Return what a policy may choose from: the planner's own `Reach`, with the problem's area and step.
 
-    Raises ValueError.
+    The given fields come first. Raises ValueError.
     """
+    step = {} if problem.step_m == STEP_M else {"step": problem.step_m}
     if name in registry.PLANNERS:
-        return registry.reach(name, {**given, "area_m": area_m})
+        return registry.reach(name, {**step, **given}, problem.area)
     if bundle_path(name):
         if given:
             flags = ", ".join(f"--{flag}" for flag in given)
             raise ValueError(f"{flags} is for planners; {name} moves as it was trained to")
-        if area_m != AREA_M:
-            raise ValueError(
-                f"--area: {area_m:g} is not allowed with {name}; learned policies see the area that they "
-                f"were trained in, {AREA_M:g} m"
-            )
-    return Reach(**given, area_m=area_m)  # type: ignore[arg-type]
+        if refusal := _unlike_training(problem):
+            raise ValueError(f"--problem: {refusal} is not allowed with {name}; {TRAINED}")
+    return Reach(**{**step, **given}, area=problem.area)  # type: ignore[arg-type]
+
+
+def _unlike_training(problem: Problem) -> str:
+    """Return what of a problem a learned policy has not been trained for; empty if it has."""
+    if problem.area != PAPER.area:
+        return f"the area {problem.area.text}"
+    if problem.step_m != PAPER.step_m:
+        return f"a step of {problem.step_m:g} m"
+    return f"the prior {problem.prior.text}" if problem.prior else ""
 
 
 def choose(name: str, belief: Belief, particles: Particles, seed: int, within: Reach) -> tuple[float, float]:
@@ -200,7 +213,7 @@ def choose(name: str, belief: Belief, particles: Particles, seed: int, within: R
         place = np.empty(0)
     if place.shape != (2,) or not np.isfinite(place).all():
         raise PolicyError(f"policy {name} said {_short(repr(said))}; wanted a waypoint (x, y) in metres")
-    x, y = np.clip(place, 0.0, within.edge).astype(np.float32).tolist()
+    x, y = within.wire.clipped(place).astype(np.float32).tolist()
     return x, y
 
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import msgspec
 
-from plume.scenario import AREA_M, AS_MODELLED, SUCCESS_RADIUS_M, SURE_OUTSIDE, Scenario
+from plume.problem import AREA, Area
+from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M, SURE_OUTSIDE, Scenario
 
 Quantiles = tuple[float, float, float]  # 5, 50 and 95%
 NOTHING: Mapping[str, Quantiles] = MappingProxyType({})
@@ -62,7 +63,7 @@ def verdict(
     estimate: tuple[float, float],
     source: tuple[float, float] | None,
     outside_share: float,
-    area_m: float = AREA_M,
+    area: Area = AREA,
 ) -> str:
     """Return how a search has ended.
 
@@ -77,15 +78,7 @@ def verdict(
         return "outside" if says_outside else "ceased"
     if math.dist(estimate, source) <= SUCCESS_RADIUS_M:
         return "outside" if says_outside else "located"
-    return "outside" if says_outside and beyond(source, area_m) else "FALSE STOP"
-
-
-def beyond(place: tuple[float, float], area_m: float = AREA_M) -> str:
-    """Return beyond which edges of the area a place is: north, north-east, …; empty if it is inside."""
-    x, y = place
-    north = "north" if y > area_m else "south" if y < 0 else ""
-    east = "east" if x > area_m else "west" if x < 0 else ""
-    return "-".join(filter(None, (north, east)))
+    return "outside" if says_outside and area.beyond(source) else "FALSE STOP"
 
 
 def outside_text(outside_share: float, to: str) -> str:
@@ -104,7 +97,7 @@ def outcome(
     stop: str,
     world: str = AS_MODELLED,
     outside_share: float = 0.0,
-    area_m: float = AREA_M,
+    area: Area = AREA,
     intermittency: Mapping[str, Quantiles] = NOTHING,
     advised_dwell_s: float = 0.0,
 ) -> Outcome:
@@ -115,7 +108,7 @@ def outcome(
     """
     last = trace[-1]
     source = scenario.nearest(last.mean) if scenario else None
-    ended = verdict(ceased, last.mean, source, outside_share, area_m)
+    ended = verdict(ceased, last.mean, source, outside_share, area)
     error_m = math.dist(last.mean, source) if source else None
     return Outcome(
         seed=seed,
@@ -137,7 +130,7 @@ def outcome(
         world=world,
         outside=ended == "outside",
         outside_share=outside_share,
-        outside_to=beyond(last.mean, area_m),
+        outside_to=area.beyond(last.mean),
         intermittency=dict(intermittency),
         advised_dwell_s=advised_dwell_s or None,
     )

@@ -9,6 +9,7 @@ import math
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import gymnasium
@@ -25,9 +26,10 @@ from agent.planning.moves import HeadingAndStep, Headings, Move
 from estimator.assumptions import ASSUMPTIONS
 from estimator.criterion import FORMS, USUAL_THRESHOLD_M, Criterion, chosen
 from plume.elementary import Array
+from plume.problem import Problem
+from plume.problems import names
 from plume.randomness import MAX_SEED
-from plume.scenario import AREA_M, AS_MODELLED, BUDGET_STEPS
-from plume.worlds import names
+from plume.sensors.names import GAUSSIAN
 
 # Training draws seeds below it. Seeds from it to a million are for validation, above for testing.
 TRAINING_SEEDS = 900_000
@@ -54,10 +56,11 @@ class Settings:
     reward: str = "cost"
     particles: int = 500
     threshold_m: float = USUAL_THRESHOLD_M
-    budget: int = BUDGET_STEPS
-    world: str = AS_MODELLED
+    budget: int | None = None  # None, and of the next one: the problem's
+    world: str | None = None
     assume: str = "paper"  # the shipped policies learned with it
-    stop: str | None = None
+    stop: str | None = None  # None and the usual `threshold_m`: the problem's
+    problem: str | Problem | Mapping[str, Any] = "paper"
 
     def __post_init__(self) -> None:
         if not isinstance(self.continuous, bool | np.bool_):
@@ -70,11 +73,11 @@ class Settings:
             value = getattr(self, name)
             if not isinstance(value, str) or value not in allowed:
                 raise ValueError(f"{name} {value!r} is not allowed; wanted {' or '.join(allowed)}")
-        if not isinstance(self.world, str):
+        if not isinstance(self.world, str | None):
             raise ValueError(f"world {self.world!r} is not allowed; wanted its name")
-        names.check(self.world)
         for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
-            _whole(name, getattr(self, name), least)
+            if getattr(self, name) is not None:
+                _whole(name, getattr(self, name), least)
         threshold_m: Any = self.threshold_m
         if (
             isinstance(threshold_m, bool)
@@ -84,7 +87,15 @@ class Settings:
             raise ValueError(f"threshold_m {threshold_m!r} is not allowed; wanted a number above 0")
         if not isinstance(self.stop, str | None):
             raise ValueError(f"stop {self.stop!r} is not allowed; wanted {FORMS}")
-        chosen(float(threshold_m), self.stop)
+        try:
+            problem = names.named(self.problem)
+        except ValueError as error:
+            raise ValueError(f"problem: {error}") from None
+        if names.sensor_of(problem) != GAUSSIAN:
+            raise ValueError(
+                f"problem: sensor {names.sensor_text(problem)!r} is not allowed here; wanted gaussian"
+            )
+        _ = self.searched, self.criterion  # what is wrong with them is said now
 
     @classmethod
     def of(cls, given: Mapping[str, Any], *others: str) -> "Settings":
@@ -100,15 +111,21 @@ class Settings:
                 )
         return cls(**given)
 
-    @property
+    @cached_property
+    def searched(self) -> Problem:
+        """The problem, with the budget and the world that override its own."""
+        return names.with_arguments(self.problem, budget=self.budget, world=self.world)
+
+    @cached_property
     def criterion(self) -> Criterion:
         """When AGDC stops."""
-        return chosen(self.threshold_m, self.stop)
+        return chosen(float(self.threshold_m), self.stop, self.searched.stop)
 
     @property
     def move(self) -> Move:
         """The meaning of actions."""
-        return HeadingAndStep() if self.continuous else Headings(self.headings)
+        step_m = self.searched.step_m
+        return HeadingAndStep(step_m) if self.continuous else Headings(self.headings, step_m)
 
     def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
         """Observation space and action space."""
@@ -120,7 +137,7 @@ class Settings:
     def begin(self, seeds: Sequence[int], threads: int = 1) -> Missions:
         """Return new missions of these seeds."""
         return Missions(
-            seeds, self.observation, self.particles, self.criterion, self.assume, threads, self.world
+            seeds, self.observation, self.particles, self.criterion, self.assume, threads, self.searched
         )
 
     def onlooker(self, render_mode: str | None) -> Onlooker | None:
@@ -130,7 +147,7 @@ class Settings:
         """
         if render_mode not in (None, *RENDERING["render_modes"]):
             raise ValueError(f"render_mode {render_mode!r} is not allowed; wanted None or 'rgb_array'")
-        return Onlooker(self.criterion.text, self.assume, self.budget) if render_mode else None
+        return Onlooker(self.criterion.text, self.assume, self.searched.budget) if render_mode else None
 
     def actions(self, given: Any, *count: int) -> NDArray[Any]:
         """Return `count` actions as an array, (B,) or (B, 2); without a count a single one, () or (2,).
@@ -168,10 +185,10 @@ class Settings:
 
         Returns rewards, terminated and truncated, (B,) each.
         """
-        missions.move(self.move.waypoints(missions.positions, missions.frames, actions, AREA_M))
+        missions.move(self.move.waypoints(missions.positions, missions.frames, actions, self.searched.area))
         step, stop = REWARDS[self.reward]
         terminated: Flags = missions.ceased.copy()
-        truncated: Flags = ~terminated & (missions.steps >= self.budget)
+        truncated: Flags = ~terminated & (missions.steps >= self.searched.budget)
         return np.where(terminated, step + stop, step), terminated, truncated
 
 

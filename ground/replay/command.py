@@ -17,7 +17,7 @@ from ground.replay.source import Source, find
 from ground.replay.verify import Rules
 from link import cli
 from link.terminal import tell
-from plume.outcome import assumed_text, beyond, gas_lines, outside_text, verdict
+from plume.outcome import assumed_text, gas_lines, outside_text, verdict
 from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
 from plume.sensors import names as sensor
@@ -203,8 +203,8 @@ def _text(result: Player, source: Source, rules: Rules | None, took_s: float) ->
     if last is not None:
         x, y = last.mean
         ceased = "not ceased" if result.ceased_at is None else f"ceased at step {result.ceased_at}"
-        if verdict(result.ceased_at is not None, last.mean, None, last.outside) == "outside":
-            ceased += f": {outside_text(last.outside, beyond(last.mean, source.area_m))}"
+        if verdict(result.ceased_at is not None, last.mean, None, last.outside, source.area) == "outside":
+            ceased += f": {outside_text(last.outside, source.area.beyond(last.mean))}"
         outcome = f"{last.step + 1} readings, {ceased}\nestimate ({x:.2f}, {y:.2f}) ± {last.spread:.2f} m"
         if source.truth:
             outcome += (

@@ -17,7 +17,8 @@ from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.cli import BadInput
 from link.record.reader import RecordError, is_record, read
 from link.record.record import Entry
-from plume.scenario import AREA_M, AS_MODELLED
+from plume.problem import AREA, PAPER, Area, Problem, square
+from plume.scenario import AS_MODELLED
 from plume.sensors import names as sensor
 from sitl.script import script
 
@@ -71,7 +72,7 @@ class Source(NamedTuple):
     budget: float = math.inf  # the agent's step budget
     truth: tuple[float, float] | None = None  # true location of the source, m; None if unknown
     world: str = AS_MODELLED  # how the truth differs from what the estimator was told; as modelled if unknown
-    area_m: float = AREA_M  # side of the search area
+    area: Area = AREA  # where the search flew
     notes: tuple[str, ...] = ()  # remarks on the log, one line each
 
 
@@ -91,6 +92,7 @@ class _About(msgspec.Struct, frozen=True):
     budget: int | None = None
     scenario: _Release = _Release()
     mission: _Mission = _Mission()
+    problem: Problem = PAPER
 
 
 def recording(path: Path, bundle: str | None = None) -> Source:
@@ -151,6 +153,7 @@ def recording(path: Path, bundle: str | None = None) -> Source:
         budget=math.inf if told.budget is None else told.budget,
         truth=told.scenario.source,
         world=told.mission.world,
+        area=told.problem.area,
         notes=(note,) if note else (),
     )
 
@@ -190,7 +193,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         False,
         truth=world.truth.source if world else None,
         world=world.name if world else AS_MODELLED,
-        area_m=flown.area_m,
+        area=square(flown.area_m),
         notes=tuple(flown.notes),
     )
 

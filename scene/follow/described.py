@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from plume.problem import AREA, Area, Problem
 from plume.scenario import Scenario
 from scene.scene import Backdrop, Release
 
@@ -43,8 +44,16 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
         vehicle or str(about.get("namespace", "vehicle")),
         title=f"{policy}, seed {about.get('seed')}" if policy is not None else "",
         release=release,
+        area=area_of(about),
     )
     return backdrop, budget if isinstance(budget, int) else None
+
+
+def area_of(about: dict[str, Any]) -> Area:
+    """Return where the search of a run flies; Table 1's area if its description does not tell."""
+    with suppress(KeyError, msgspec.ValidationError):
+        return msgspec.convert(about["problem"], Problem).area
+    return AREA
 
 
 def turns_of(about: dict[str, Any]) -> list[WindTurn] | None:

@@ -34,11 +34,13 @@ export class WorldMap {
     if (!this.width || !scene) return;
     const side = Math.max(40, Math.min(this.width - LEFT - RIGHT, this.height - TOP - BOTTOM));
     const left = LEFT + Math.floor((this.width - LEFT - RIGHT - side) / 2), top = TOP;
-    const edge = Math.max(scene.area_m * MARGIN, 1.5 * beyond(scene)), scale = side / (scene.area_m + 2 * edge);
+    const { west, south, width, height, longer } = extent(scene);
+    const edge = Math.max(longer * MARGIN, 1.5 * beyond(scene)), scale = side / (longer + 2 * edge);
+    const x0 = west - (longer - width) / 2 - edge, y0 = south - (longer - height) / 2 - edge; // the map is square
     const view = {
       side, left, top, scale,
-      x: (m) => left + (m + edge) * scale,
-      y: (m) => top + side - (m + edge) * scale,
+      x: (m) => left + (m - x0) * scale,
+      y: (m) => top + side - (m - y0) * scale,
     };
     this.view = view;
     const g = this.canvas.getContext("2d");
@@ -46,8 +48,8 @@ export class WorldMap {
     g.clearRect(0, 0, this.width, this.height);
     g.font = FONT;
     g.lineJoin = g.lineCap = "round";
-    drawGrid(g, view, scene.area_m);
-    drawScale(g, view, scene.area_m);
+    drawGrid(g, view, extent(scene));
+    drawScale(g, view, longer);
     drawWind(g, view, scene.wind);
     g.save();
     g.beginPath();
@@ -82,7 +84,8 @@ export class WorldMap {
       this.plume.getContext("2d").putImageData(image, 0, 0);
       model.fresh.plume = false;
     }
-    g.drawImage(this.plume, view.x(0), view.y(scene.area_m), scene.area_m * view.scale, scene.area_m * view.scale);
+    const { west, north, width, height } = extent(scene);
+    g.drawImage(this.plume, view.x(west), view.y(north), width * view.scale, height * view.scale);
   }
 }
 
@@ -92,44 +95,59 @@ export function round(least) {
   return power * [1, 2, 5, 10].find((n) => n * power >= least * 0.999);
 }
 
-/** How far the estimate or a true source is beyond the area's edges, m. */
-function beyond({ area_m, estimate, truth }) {
-  const along = [...(estimate ? [estimate.x, estimate.y] : []), ...(truth?.sources ?? []).flat()];
-  return Math.min(area_m, Math.max(0, ...along.map((m) => Math.max(-m, m - area_m)))); // a record may say absurd things
+/** Where a scene's area lies and how long it is, m. */
+function extent({ area: [west, south, east, north] }) {
+  const width = east - west, height = north - south;
+  return { west, south, east, north, width, height, longer: Math.max(width, height) };
 }
 
-function drawGrid(g, view, area_m) {
-  const step = round(area_m / (view.side < 340 ? 4 : 7));
-  const [from, to] = [0, area_m];
+/** How far the estimate or a true source is beyond the area's edges, m. */
+function beyond(scene) {
+  const { west, south, east, north, longer } = extent(scene), { estimate, truth } = scene;
+  const places = [...(estimate ? [[estimate.x, estimate.y]] : []), ...(truth?.sources ?? [])];
+  return Math.min(longer, Math.max(0, ...places.flatMap(([x, y]) => [west - x, x - east, south - y, y - north]))); // a record may say absurd things
+}
+
+function drawGrid(g, view, { west, south, east, north, width, height, longer }) {
+  const step = round(longer / (view.side < 340 ? 4 : 7));
   g.fillStyle = colours.card.css;
   g.fillRect(view.left, view.top, view.side, view.side);
   g.strokeStyle = colours.grid.css;
   g.fillStyle = colours.muted.css;
   g.lineWidth = 1;
   g.beginPath();
-  for (let m = 0; m <= area_m + 1e-9; m += step) {
-    const x = Math.round(view.x(m)) + 0.5, y = Math.round(view.y(m)) + 0.5;
-    g.moveTo(x, view.y(from));
-    g.lineTo(x, view.y(to));
-    g.moveTo(view.x(from), y);
-    g.lineTo(view.x(to), y);
-    g.textAlign = "center";
-    g.textBaseline = "top";
+  g.textAlign = "center";
+  g.textBaseline = "top";
+  for (const m of rounds(west, east, step)) {
+    const x = Math.round(view.x(m)) + 0.5;
+    g.moveTo(x, view.y(south));
+    g.lineTo(x, view.y(north));
     g.fillText(m, x, view.top + view.side + 5);
-    g.textAlign = "right";
-    g.textBaseline = "middle";
+  }
+  g.textAlign = "right";
+  g.textBaseline = "middle";
+  for (const m of rounds(south, north, step)) {
+    const y = Math.round(view.y(m)) + 0.5;
+    g.moveTo(view.x(west), y);
+    g.lineTo(view.x(east), y);
     g.fillText(m, view.left - 6, y);
   }
   g.stroke();
   g.strokeStyle = colours.muted.css;
-  g.strokeRect(Math.round(view.x(0)) + 0.5, Math.round(view.y(area_m)) + 0.5, Math.round(area_m * view.scale), Math.round(area_m * view.scale));
+  g.strokeRect(Math.round(view.x(west)) + 0.5, Math.round(view.y(north)) + 0.5, Math.round(width * view.scale), Math.round(height * view.scale));
   g.textAlign = "right";
   g.textBaseline = "top";
   g.fillText("m", view.left - 6, view.top + view.side + 5);
 }
 
-function drawScale(g, view, area_m) {
-  const m = round(area_m / 7), right = view.left + view.side, y = 24;
+/** The multiples of a step from one number to another. */
+function rounds(from, to, step) {
+  const first = Math.ceil(from / step - 1e-9), last = Math.floor(to / step + 1e-9);
+  return Array.from({ length: last - first + 1 }, (_, k) => (first + k) * step);
+}
+
+function drawScale(g, view, longer) {
+  const m = round(longer / 7), right = view.left + view.side, y = 24;
   const left = right - m * view.scale;
   g.strokeStyle = colours.ink.css;
   g.fillStyle = colours.ink.css;
@@ -289,9 +307,10 @@ function drawCraft(g, view, { x, y, heading }) {
 }
 
 /** What the map shows, for who cannot see it. */
-function inWords({ area_m, craft, estimate, wind, truth }) {
+function inWords(scene) {
+  const { craft, estimate, wind, truth } = scene, { width, height } = extent(scene);
   const at = (x, y) => `(${x.toFixed(1)}, ${y.toFixed(1)})`;
-  const said = [`Map, ${area_m} m square`];
+  const said = [width === height ? `Map, ${width} m square` : `Map, ${width} m by ${height} m`];
   if (isPlaced(craft)) said.push(`vehicle at ${at(craft.x, craft.y)}`);
   if (estimate) said.push(`estimate at ${at(estimate.x, estimate.y)} ± ${estimate.spread_m.toFixed(2)} m`);
   if (wind) said.push(`wind ${Math.hypot(...wind).toFixed(1)} m/s from ${bearing(wind)}°`);
