@@ -16,7 +16,8 @@ from agent.planning.moves import Headings, Move, Reach
 from link.bus.messages import Belief, Particles
 from link.files import whole
 from plume.elementary import Array
-from plume.problem import AREA
+from plume.problem import AREA, Problem
+from plume.problems.names import named
 
 FORMAT = 1
 GRAPH, PAGE = "policy.onnx", "bundle.json"
@@ -79,6 +80,7 @@ class Bundle:
                 f"wanted version {self._schema.version} of {self._schema.size}: train it anew"
             )
         _check(page.move)
+        self._problem = trained_for(page)
         try:
             self._layers = graphs.read(data, page.observation)
         except graphs.GraphError as error:
@@ -110,11 +112,23 @@ class Bundle:
 
         A learned policy always takes its best action and draws no random numbers.
         """
-        observation, frame = self._schema.see(belief, particles)
+        observation, frame = self._schema.see(belief, particles, self._problem)
         move = self.page.move
         action = move.action(self.said(observation))
         x, y = move.waypoints(np.array([belief.position]), frame[None], action, reach.area)[0].tolist()
         return x, y
+
+
+def trained_for(page: Page) -> Problem:
+    """Return the problem that a policy was trained for. Raises BundleError."""
+    env = page.training.get("env")
+    said = env.get("problem", "paper") if isinstance(env, dict) else "paper"
+    try:
+        if said != "paper" and not str(said).startswith("{"):
+            raise ValueError("it is no JSON object")  # and no file: a bundle from a stranger names none
+        return named(said)
+    except ValueError as error:
+        raise BundleError(f"its problem cannot be used: {_line(error)}") from error
 
 
 def _check(move: Move) -> None:

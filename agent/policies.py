@@ -32,11 +32,6 @@ LEARNED = {
 # Learned policies that come with the project, made by `make train`.
 SHIPPED = {name: Path(__file__).parent / "bundles" / f"{name}.zip" for name in LEARNED}
 OURS = (*registry.PLANNERS, *SHIPPED)  # the policies of the project, in the order of its tables
-# Why a learned policy refuses a problem.
-TRAINED = (
-    f"learned policies search the area that they were trained in, {PAPER.area.text}, in steps of "
-    f"{PAPER.step_m:g} m, with the source expected anywhere in it"
-)
 DEFAULT = "homing"  # the best policy that needs no training
 PLUGINS = "plumeward.policies"  # entry points of this group are policies of other packages: docs/policies.md
 
@@ -176,18 +171,39 @@ def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), problem:
         if given:
             flags = ", ".join(f"--{flag}" for flag in given)
             raise ValueError(f"{flags} is for planners; {name} moves as it was trained to")
-        if refusal := _unlike_training(problem):
-            raise ValueError(f"--problem: {refusal} is not allowed with {name}; {TRAINED}")
+        if refusal := _unlike(problem, _trained_for(name)):
+            raise ValueError(f"--problem: {refusal}")
     return Reach(**{**step, **given}, area=problem.area)  # type: ignore[arg-type]
 
 
-def _unlike_training(problem: Problem) -> str:
-    """Return what of a problem a learned policy has not been trained for; empty if it has."""
-    if problem.area != PAPER.area:
-        return f"the area {problem.area.text}"
-    if problem.step_m != PAPER.step_m:
-        return f"a step of {problem.step_m:g} m"
-    return f"the prior {problem.prior.text}" if problem.prior else ""
+@cache
+def _trained_for(name: str) -> Problem:
+    """Return the problem that a learned policy was trained for. Raises ValueError."""
+    path = bundle_path(name)
+    if path is None or path in SHIPPED.values():
+        return PAPER
+    from agent.bundle import BundleError, read, trained_for
+
+    try:
+        return trained_for(read(path)[0])
+    except BundleError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _unlike(problem: Problem, trained: Problem) -> str:
+    """Return why a learned policy refuses a problem; empty if it was trained for such a one."""
+    if problem.area != trained.area:
+        said = f"the area {problem.area.text}"
+    elif problem.step_m != trained.step_m:
+        said = f"a step of {problem.step_m:g} m"
+    elif problem.expected != trained.expected:
+        said = f"the prior {problem.expected.text}"
+    else:
+        return ""
+    return (
+        f"{said} is not allowed with a learned policy; it was trained in the area {trained.area.text}, in "
+        f"steps of {trained.step_m:g} m, with the source expected in {trained.expected.text}"
+    )
 
 
 def choose(name: str, belief: Belief, particles: Particles, seed: int, within: Reach) -> tuple[float, float]:

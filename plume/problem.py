@@ -29,7 +29,7 @@ from plume.scenario import (
     WIND_SPEEDS,
 )
 
-FARTHEST_M = 10_000.0  # greatest coordinate: further out, float32 on the wire is coarser than a millimetre
+FARTHEST_M = 100_000.0  # greatest coordinate: further out, float32 on the wire is coarser than a centimetre
 SHORTEST_M = 1.0  # least side of an area
 MOST_STEPS = 1_000_000
 LONGEST_DWELL_S = 600.0
@@ -39,7 +39,7 @@ PARTS = 3  # a step is at most this part of the area's shorter side: from everyw
 STOP = re.compile(r"spread:[^,]+|within:[^,]+,[^,]+")  # the form of --stop; `estimator.criterion` reads it
 
 Coordinate = Annotated[
-    float, Meta(ge=-FARTHEST_M, le=FARTHEST_M, description="a number from -10000 to 10000, m")
+    float, Meta(ge=-FARTHEST_M, le=FARTHEST_M, description="a number from -100000 to 100000, m")
 ]
 Place = tuple[Coordinate, Coordinate]
 Number = Annotated[float, Meta(description="a number")]
@@ -52,8 +52,8 @@ class Area(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Example: `plumeward.Area(low=(-50, 0), high=(150, 80))` lies 200 m from west to east.
     """
 
-    low: Annotated[Place, Meta(description="its south-west corner, (x, y) m, each from -10000 to 10000")]
-    high: Annotated[Place, Meta(description="its north-east corner, (x, y) m, each from -10000 to 10000")]
+    low: Annotated[Place, Meta(description="its south-west corner, (x, y) m, each from -100000 to 100000")]
+    high: Annotated[Place, Meta(description="its north-east corner, (x, y) m, each from -100000 to 100000")]
 
     def __post_init__(self) -> None:
         for name, corner in (("low", self.low), ("high", self.high)):

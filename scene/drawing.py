@@ -277,7 +277,12 @@ class Drawing:
     def _lay_limits(self) -> None:
         steps, below, above, around_m = self._room
         area = self._backdrop.area
-        ends = [(low - around_m, high + around_m) for low, high in zip(area.low, area.high, strict=True)]
+        longer_m = max(area.size_m)  # the map is square, whatever the area is
+        ends = [
+            (low - off_m - around_m, high + off_m + around_m)
+            for low, high in zip(area.low, area.high, strict=True)
+            for off_m in [(longer_m - (high - low)) / 2]
+        ]
         self.map.set(xlim=ends[0], ylim=ends[1])
         for chart in (self.spread, self.gas):
             chart.set_xlim(-0.02 * steps, 1.02 * steps)

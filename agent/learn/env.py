@@ -8,7 +8,7 @@
 import math
 import reprlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -208,13 +208,13 @@ def _seed(value: Any) -> int:
     return _whole("seed", value, 0, MAX_SEED)
 
 
-def _refuse(options: Any) -> None:
-    """Raise ValueError on options of a reset: there are none."""
-    if options:
-        raise ValueError(
-            f"options {_short(options)} are not allowed; wanted none: the seed draws the start and all else "
-            "of a mission"
-        )
+def _searching(settings: Settings, options: Any) -> Settings:
+    """Return the settings with the problem of a reset's options. Raises ValueError on other options."""
+    if not options:
+        return settings
+    if not isinstance(options, Mapping) or options.keys() != {"problem"}:
+        raise ValueError(f"options {_short(options)} are not allowed; wanted none, or {{'problem': …}}")
+    return replace(settings, problem=options["problem"])
 
 
 def _begun(missions: Missions | None, call: str) -> Missions:
@@ -304,16 +304,17 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
 
     | argument | default | meaning |
     |---|---|---|
+    | `problem` | `"paper"` | what is searched: a `plumeward.Problem`, its fields, `"paper"` or a YAML file |
     | `continuous` | False | an action is a heading and a step |
     | `headings` | 16 | number of headings of discrete actions |
     | `observation` | `"polar"` | or `"paper"` |
     | `reward` | `"cost"` | or `"paper"` |
     | `particles` | 500 | particles of the filter |
     | `threshold_m` | 0.5 | ζ, m |
-    | `budget` | 300 | most steps |
-    | `world` | `"as-modelled"` | how gas moves and the truth differs: a name, as `--world` takes it |
+    | `budget` | None | most steps; None, also of the next one: the problem's |
+    | `world` | None | how gas moves and the truth differs: a name, as `--world` takes it |
     | `assume` | `"paper"` | or `"field"`: what the estimator takes to be known |
-    | `stop` | None | instead of `threshold_m`: `"within:1,0.99"` |
+    | `stop` | None | instead of `threshold_m`: `"within:1,0.99"`; without both the problem's |
 
     Example:
         ```python
@@ -332,17 +333,21 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         self.settings = Settings.of(settings, "render_mode")
         self.render_mode = render_mode
         self.onlooker = self.settings.onlooker(render_mode)
+        self.searching = self.settings  # with the problem of the last reset
         self.observation_space, self.action_space = self.settings.spaces()
         self.missions: Missions | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin a mission and take its first reading. Raises ValueError on a bad seed, and on options."""
-        _refuse(options)
+        """Begin a mission and take its first reading. Raises ValueError on a bad seed, and on bad options.
+
+        `options={"problem": …}` is another problem, until the next reset.
+        """
+        self.searching = _searching(self.settings, options)
         seed = None if seed is None else _seed(seed)
         super().reset(seed=seed)
-        self.missions = self.settings.begin(
+        self.missions = self.searching.begin(
             [int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed]
         )
         if self.onlooker:
@@ -355,7 +360,7 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         Raises ActionError on one outside the action space.
         """
         missions = _begun(self.missions, "step")
-        rewards, terminated, truncated = self.settings.fly(missions, self.settings.actions(action)[None])
+        rewards, terminated, truncated = self.searching.fly(missions, self.settings.actions(action)[None])
         if self.onlooker:
             self.onlooker.look(missions)
         return (
@@ -396,6 +401,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self.settings = Settings.of(settings, "num_envs", "threads", "render_mode")
         self.render_mode = render_mode
         self.onlooker = self.settings.onlooker(render_mode)
+        self.searching = self.settings  # with the problem of the last reset
         self.single_observation_space, self.single_action_space = self.settings.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -408,9 +414,10 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence.
 
-        Without a seed, the next ones are drawn. Raises like `SourceSearch.reset`.
+        Without a seed, the next ones are drawn. `options={"problem": …}` is the problem of all of them and of
+        those that follow, until the next reset. Raises like `SourceSearch.reset`.
         """
-        _refuse(options)
+        self.searching = _searching(self.settings, options)
         if seed is None and self._draws:
             seeds = [self._next(i) for i in range(self.num_envs)]
         else:
@@ -426,8 +433,9 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 raise ValueError(f"{len(seeds)} seeds for {self.num_envs} missions")
             self._draws = [np.random.default_rng(each) for each in seeds]
         if self.missions is None:
-            self.missions = self.settings.begin(seeds, self._threads)
+            self.missions = self.searching.begin(seeds, self._threads)
         else:
+            self.missions.problem = self.searching.searched
             self.missions.begin(np.arange(self.num_envs), seeds)
         if self.onlooker:
             self.onlooker.look(self.missions)
@@ -441,7 +449,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         On a wrong action raises ActionError and moves none.
         """
         missions = _begun(self.missions, "step")
-        rewards, terminated, truncated = self.settings.fly(
+        rewards, terminated, truncated = self.searching.fly(
             missions, self.settings.actions(actions, self.num_envs)
         )
         infos: dict[str, Any] = {}

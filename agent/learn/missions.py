@@ -175,7 +175,7 @@ class Missions:
         near = narrow | (self.outside[missions] >= SURE_OUTSIDE)
         for mission in missions[near | bool(self._criterion.within)].tolist():
             self.ceased[mission] = self._batch.has_ceased(mission)
-        totals = self._batch.weights.sum(axis=1)
+        totals, site = self._batch.weights.sum(axis=1), observation.site_of(self.problem)
 
         def see(portion: Indices) -> None:
             self._schema.see_missions(
@@ -183,6 +183,7 @@ class Missions:
                 self._batch.weights,
                 totals,
                 facts,
+                site,
                 portion,
                 self.frames,
                 self.observations,

@@ -183,6 +183,10 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
             "lifetime": told.tau,
             "sensor": sensor.text(world.sensor),
         }
+    try:
+        area = square(flown.area_m)
+    except ValueError as error:
+        raise BadInput(f"--area: {error}") from None
     estimator = settings.as_words({**known, **filtering, "sysid": flown.system, "area": flown.area_m})
     return Source(
         path,
@@ -193,7 +197,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         False,
         truth=world.truth.source if world else None,
         world=world.name if world else AS_MODELLED,
-        area=square(flown.area_m),
+        area=area,
         notes=tuple(flown.notes),
     )
 

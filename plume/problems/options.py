@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
-from plume.problem import PAPER, Problem, square
+from plume.problem import PAPER, PARTS, Problem, square
 from plume.problems.names import ABOUT, named
 
 # The fields that flags of other names override.
@@ -34,6 +34,7 @@ def problem_of(args: argparse.Namespace) -> Problem:
     changes: dict[str, Any] = {field: value for field, value in given.items() if value is not None}
     if getattr(args, "area", None) is not None:
         changes["area"] = square(args.area)
+        changes.setdefault("step_m", min((args.problem or PAPER).step_m, args.area / PARTS))
     return overridden(args.problem or PAPER, changes)
 
 

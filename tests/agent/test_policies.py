@@ -247,7 +247,7 @@ def test_scripted_waypoints_may_lie_in_all_of_the_area() -> None:
 
 
 def test_no_waypoint_is_rounded_out_of_the_area(plug: Plug, seen: tuple[Belief, Particles]) -> None:
-    plug("def theirs(belief, particles, reach, rng): return 1e9, reach.area_m")
+    plug("def theirs(belief, particles, reach, rng): return 1e9, reach.area.high[1]")
     reached = parse("agent", ["--policy", "theirs", "--area", "30.1", "--waypoints", "0:30.1,30.1"])
     assert np.float32(30.1).item() > 30.1
     below = np.nextafter(np.float32(30.1), np.float32(0)).item()

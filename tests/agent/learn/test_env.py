@@ -24,6 +24,7 @@ import plumeward  # noqa: F401  registers the environments
 from agent.learn.env import TRAINING_SEEDS, SourceSearch, SourceSearchVector
 from agent.observation import BOUND, SCHEMAS
 from link.bus.messages import Belief, Particles
+from plume.problem import AREA
 from plume.scenario import AREA_M, draw
 from plume.worlds.names import OURS
 from plume.worlds.world import World
@@ -262,7 +263,7 @@ def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(
     def choose(_policy: str, said: Belief, particles: Particles, *_: Any) -> tuple[float, float]:
         _, frame = SCHEMAS["polar"].see(said, particles)
         action = second if said.step % 3 == 2 else first
-        x, y = env.settings.move.waypoints(np.array([said.position]), frame[None], action[None], AREA_M)[
+        x, y = env.settings.move.waypoints(np.array([said.position]), frame[None], action[None], AREA)[
             0
         ].tolist()
         return x, y
