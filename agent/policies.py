@@ -176,7 +176,6 @@ def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), problem:
     return Reach(**{**step, **given}, area=problem.area)  # type: ignore[arg-type]
 
 
-@cache
 def _trained_for(name: str) -> Problem:
     """Return the problem that a learned policy was trained for. Raises ValueError."""
     path = bundle_path(name)

@@ -80,7 +80,7 @@ def of_file(name: str) -> Problem:
         mark = getattr(error, "problem_mark", None)
         raise ValueError(f"{name}:{f'{mark.line + 1}:' if mark else ''} not valid YAML: {what}") from None
     try:
-        if isinstance(value, dict) and value.keys() == {"problem"}:  # as in a mission script
+        if isinstance(value, dict) and "problem" in value:  # a mission script
             value = value["problem"]
         return _made({} if value is None else value)
     except ValueError as error:

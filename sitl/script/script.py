@@ -474,12 +474,15 @@ def check_places(document: Document, script: Script) -> None:
             f"{[x, y]} is not allowed; wanted (x, y) m, up to an area's side beyond {area.text}",
         )
     for number, event in enumerate(script.events):
-        if isinstance(event, Waypoints | Lawnmower) and (
-            out := [list(place) for place in event.path() if not area.holds(place)]
-        ):
-            raise document.error(
-                ["events", number], f"{out[0]} is not allowed; wanted places in the area, {area.text}"
-            )
+        if not isinstance(event, Waypoints | Lawnmower):
+            continue
+        for at, place in enumerate(event.path()):
+            if not area.holds(place):
+                field = ["points", at] if isinstance(event, Waypoints) else ["high"]
+                raise document.error(
+                    ["events", number, *field],
+                    f"{list(place)} is not allowed; wanted places in the area, {area.text}",
+                )
 
 
 def _renamed(value: Any) -> list[str]:

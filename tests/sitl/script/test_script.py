@@ -73,11 +73,14 @@ MISTAKES = {
         "phi: 1.5",
         "fi: 1.5",
     ): "3: scenario.fi: unknown field; allowed: source, q, u, phi, d, tau, start, height",
-    ("[12, 13]", "[12, 61]"): "3: scenario.source[1]: 61 is not allowed; wanted a number from -30 up to 60",
+    (
+        "[12, 13]",
+        "[12, 61]",
+    ): "3: scenario.source: [12.0, 61.0] is not allowed; wanted (x, y) m, up to an area's side beyond",
     (
         "[12, 13]",
         "12",
-    ): "3: scenario.source: 12 is not allowed; wanted (x, y) m, x east, y north, each from -30 to 60",
+    ): "3: scenario.source: 12 is not allowed; wanted (x, y) m, x east, y north; up to",
     (
         "{phi: 1.5, source: [12, 13]}",
         "windy",
@@ -152,11 +155,11 @@ MISTAKES = {
     (
         "[12, 13]",
         "[12]",
-    ): "3: scenario.source: [12] is not allowed; wanted (x, y) m, x east, y north, each from -30 to 60",
+    ): "3: scenario.source: [12] is not allowed; wanted (x, y) m, x east, y north; up to",
     (
         "[12, 13]",
         "[12, 13, 14]",
-    ): "3: scenario.source: [12, 13, 14] is not allowed; wanted (x, y) m, x east, y north, each from -30 to 60",
+    ): "3: scenario.source: [12, 13, 14] is not allowed; wanted (x, y) m, x east, y north; up to",
     (
         "do: wind, phi: 2",
         "do: [wind]",
@@ -180,7 +183,7 @@ MISTAKES = {
     (
         "do: lawnmower\n    high: [10, 10]",
         "do: waypoints\n    points:\n    - [1, 2]\n    - [3, 31]",
-    ): "16: events[3].points[1][1]: 31 is not allowed; wanted a number from 0 up to 30",
+    ): "16: events[3].points[1]: [3.0, 31.0] is not allowed; wanted places in the area, [0, 30] x [0, 30] m",
     (
         "about: all in one",
         "agent: {policy: none}",
