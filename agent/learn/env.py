@@ -124,7 +124,7 @@ class Settings:
     @property
     def move(self) -> Move:
         """The meaning of actions."""
-        step_m = self.searched.step_m
+        step_m = float(self.searched.step_m)
         return HeadingAndStep(step_m) if self.continuous else Headings(self.headings, step_m)
 
     def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
