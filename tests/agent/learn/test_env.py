@@ -158,7 +158,7 @@ def test_a_stop_at_the_last_step_of_the_budget_terminates_and_does_not_truncate(
 
 def test_the_budget_is_300_moves_and_zeta_half_a_metre_as_elsewhere() -> None:
     settings = SourceSearch().settings
-    assert (settings.budget, settings.threshold_m, settings.particles) == (300, 0.5, 500)
+    assert (settings.searched.budget, settings.threshold_m, settings.particles) == (300, 0.5, 500)
     assert (settings.assume, settings.criterion.text) == ("paper", "spread:0.5")
     assert SourceSearch(stop="within:2,0.9").settings.criterion.text == "within:2,0.9"
 
