@@ -1,4 +1,4 @@
 """The agent: takes beliefs and answers with waypoints, by planners and learned policies.
 
-Imports: plume, plume.sensors, link, link.bus, agent.planning, agent.planners.
+Imports: plume, plume.sensors, plume.problems, link, link.bus, agent.planning, agent.planners.
 """

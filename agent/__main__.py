@@ -16,8 +16,10 @@ from agent import service
 from agent.policies import PolicyError, add_policy_argument, reach
 from link import cli
 from link.bus.session import Bus
+from plume.problem import FARTHEST_M
+from plume.problems.options import add_problem_argument, problem_of
 from plume.randomness import MAX_SEED
-from plume.scenario import AREA_M, BUDGET_STEPS, WorldError
+from plume.scenario import WorldError
 
 # Commands with a module of their own. It is imported only for its command: a service starts fast and knows
 # nothing of trials.
@@ -36,7 +38,8 @@ def _add_policy_arguments(parser: argparse.ArgumentParser, of: str) -> None:
     parser.add_argument(
         "--seed", type=cli.whole(0, MAX_SEED), default=0, help=f"seed of the {of} (default: %(default)s)"
     )
-    cli.add_reach_arguments(parser, BUDGET_STEPS)
+    cli.add_reach_arguments(parser)
+    add_problem_argument(parser)
 
 
 def _add_rollout_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,10 +72,10 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
     )
     parser.add_argument(
         "--area",
-        type=cli.number(0, 100_000, above=True),
-        default=AREA_M,
+        type=cli.number(0, FARTHEST_M, above=True),
         metavar="M",
-        help="side of the square search area, m; the estimator needs the same (default: %(default)g)",
+        help="side of a square search area with its south-west corner at home, m; the estimator needs the "
+        "same (default: the problem's area)",
     )
     parser.add_argument(
         "--sysid",
@@ -93,11 +96,13 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
     args = parser.parse_args(arguments)
     try:
         if args.command in ("rollout", "evaluate"):
-            from estimator.options import criteria, knowledge
+            from agent.trials.evaluate import choose_problem
 
-            args.knowledge, args.stops = knowledge(args), criteria(args)
+            choose_problem(args)
+        if args.command is None:
+            args.problem = problem_of(args)
         if args.command in (None, "rollout"):
-            args.reach = reach(args.policy, cli.reach_given(args), args.area)
+            args.reach = reach(args.policy, cli.reach_given(args), args.problem)
             args.scripted = {
                 step: point
                 for text in args.waypoints
@@ -118,8 +123,8 @@ def _rollout(args: argparse.Namespace) -> None:
         args.seed,
         args.policy,
         args.particles,
-        budget=args.budget,
         moves=cli.reach_given(args),
+        problem=args.problem,
         world=args.world,
         stop=stop.text,
         **args.knowledge,
@@ -133,7 +138,7 @@ def _serve(args: argparse.Namespace) -> None:
     with Bus(
         "agent", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True
     ) as bus:
-        service.run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, args.scripted)
+        service.run(bus, args.policy, args.seed, args.problem.budget, args.sysid, args.reach, args.scripted)
 
 
 def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> int | None:

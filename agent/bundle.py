@@ -16,7 +16,8 @@ from agent.planning.moves import Headings, Move, Reach
 from link.bus.messages import Belief, Particles
 from link.files import whole
 from plume.elementary import Array
-from plume.scenario import AREA_M
+from plume.problem import AREA, Problem
+from plume.problems.names import named
 
 FORMAT = 1
 GRAPH, PAGE = "policy.onnx", "bundle.json"
@@ -79,6 +80,7 @@ class Bundle:
                 f"wanted version {self._schema.version} of {self._schema.size}: train it anew"
             )
         _check(page.move)
+        self._problem = trained_for(page)
         try:
             self._layers = graphs.read(data, page.observation)
         except graphs.GraphError as error:
@@ -89,7 +91,7 @@ class Bundle:
                 f"{GRAPH} gives arrays of {[list(said.shape)]}; wanted one, of [1, {page.move.outputs}]"
             )
         # Moves are compiled when the first is made: now, not in flight.
-        page.move.waypoints(np.zeros((1, 2)), np.zeros((1, 3)), page.move.action(said), AREA_M)
+        page.move.waypoints(np.zeros((1, 2)), np.zeros((1, 3)), page.move.action(said), AREA)
 
     def said(self, observation: NDArray[np.float32]) -> Array:
         """Return the network's output for an observation (F,): (1, A).
@@ -110,11 +112,23 @@ class Bundle:
 
         A learned policy always takes its best action and draws no random numbers.
         """
-        observation, frame = self._schema.see(belief, particles)
+        observation, frame = self._schema.see(belief, particles, self._problem)
         move = self.page.move
         action = move.action(self.said(observation))
-        x, y = move.waypoints(np.array([belief.position]), frame[None], action, reach.area_m)[0].tolist()
+        x, y = move.waypoints(np.array([belief.position]), frame[None], action, reach.area)[0].tolist()
         return x, y
+
+
+def trained_for(page: Page) -> Problem:
+    """Return the problem that a policy was trained for. Raises BundleError."""
+    env = page.training.get("env")
+    said = env.get("problem", "paper") if isinstance(env, dict) else "paper"
+    try:
+        if said != "paper" and not str(said).startswith("{"):
+            raise ValueError("it is no JSON object")  # and no file: a bundle from a stranger names none
+        return named(said)
+    except ValueError as error:
+        raise BundleError(f"its problem cannot be used: {_line(error)}") from error
 
 
 def _check(move: Move) -> None:

@@ -14,8 +14,8 @@ rotation or a mirror thus look alike. The numbers are, in order:
   frame.
 
 The policy has its own prior. In training, sources are drawn from the square of Table 1, so particles
-outside it get a twentieth of their weight. The observation also contains the estimator's own spread, since
-that decides the stop.
+outside it get a twentieth of their weight; in another problem the square is where its estimator expects
+them. The observation also contains the estimator's own spread, since that decides the stop.
 """
 
 import math
@@ -30,7 +30,7 @@ from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices, direction
 from plume.numerics import exp, log, log1p, total_of
-from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
+from plume.problem import PAPER, SOURCES, Problem
 from plume.sensors.names import GAUSSIAN
 
 Observation = NDArray[np.float32]
@@ -75,9 +75,18 @@ TANGENTS = np.divide(*reversed(direction(np.array([1, 3, 5, 7]) / 32)))
 COSINES, SINES = direction(np.arange(HEADINGS) / HEADINGS)
 
 
+def site_of(problem: Problem) -> Array:
+    """Return what the kernels know of a problem, (8,): the ends of its area, and of where it expects sources.
+
+    Each is west, south, east and north, m. In Table 1's problem that is Table 1's square.
+    """
+    expected = SOURCES if problem.sources == SOURCES else problem.expected
+    return np.array([*problem.area.low, *problem.area.high, *expected.low, *expected.high], np.float64)
+
+
 @subroutine
 def _frame(
-    x: Array, y: Array, weights: Array, facts: Array, frame: Frame
+    x: Array, y: Array, weights: Array, facts: Array, site: Array, frame: Frame
 ) -> tuple[float, float, float, float, float]:
     """Multiply the weights by the policy's prior, normalise them, and fill `frame`.
 
@@ -87,7 +96,7 @@ def _frame(
     """
     inside, total, mean_x, mean_y = 0.0, 0.0, 0.0, 0.0
     for i in range(len(x)):
-        drawn = SOURCE_LOW_M <= x[i] <= SOURCE_HIGH_M and SOURCE_LOW_M <= y[i] <= SOURCE_HIGH_M
+        drawn = site[4] <= x[i] <= site[6] and site[5] <= y[i] <= site[7]
         total += weights[i]
         inside += weights[i] if drawn else 0.0
         weights[i] *= 1.0 if drawn else OUTSIDE
@@ -143,7 +152,9 @@ def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
 
 
 @subroutine
-def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+def _fill_gains(
+    x: Array, y: Array, weights: Array, facts: Array, site: Array, frame: Frame, result: Observation
+) -> None:
     """Fill `result` with the approximate information gain of a reading, nats, by AHEAD_M and heading."""
     few_x, few_y = np.empty(FEW), np.empty(FEW)
     last, mass = 0, weights[0]
@@ -164,8 +175,8 @@ def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
     for ahead in range(len(AHEAD_M)):
         for heading in range(HEADINGS):
             along, across = AHEAD_M[ahead] * COSINES[heading], AHEAD_M[ahead] * mirror * SINES[heading]
-            there_x = min(max(facts[X] + c * along - s * across, 0.0), AREA_M)
-            there_y = min(max(facts[Y] + s * along + c * across, 0.0), AREA_M)
+            there_x = min(max(facts[X] + c * along - s * across, site[0]), site[2])
+            there_y = min(max(facts[Y] + s * along + c * across, site[1]), site[3])
             for k in range(FEW):
                 dx, dy = there_x - few_x[k], there_y - few_y[k]
                 distance = max(math.sqrt(dx * dx + dy * dy), SOURCE_RADIUS_M)
@@ -178,38 +189,44 @@ def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
             result[ahead * HEADINGS + heading] = 0.5 * log(1 + variance * INVERSE_NOISE_SQUARED)
 
 
-SEE_ALONE = "void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float32[::1])"
+SEE_ALONE = (
+    "void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float32[::1])"
+)
 SEE_MISSIONS = (
-    "void(float64[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], int64[::1], "
+    "void(float64[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], float64[::1], int64[::1], "
     "float64[:, ::1], float32[:, ::1])"
 )
 
 
 @kernel(SEE_ALONE, error_model="numpy")
-def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+def _paper(
+    _x: Array, _y: Array, _weights: Array, facts: Array, site: Array, frame: Frame, result: Observation
+) -> None:
     """Fill `frame` and `result` (PAPER_SIZE,).
 
-    Lengths are shares of the area's side, and the reading z is sign(z) log(1 + |z|).
+    Places are shares of the area's extent, and the reading z is sign(z) log(1 + |z|).
     """
     frame[0], frame[1], frame[2] = 1.0, 0.0, 1.0
     gas = facts[GAS]
     numbers = (
-        facts[X] / AREA_M,
-        facts[Y] / AREA_M,
+        (facts[X] - site[0]) / (site[2] - site[0]),
+        (facts[Y] - site[1]) / (site[3] - site[1]),
         math.copysign(log1p(abs(gas)), gas),
-        facts[MEAN_X] / AREA_M,
-        facts[MEAN_Y] / AREA_M,
+        (facts[MEAN_X] - site[0]) / (site[2] - site[0]),
+        (facts[MEAN_Y] - site[1]) / (site[3] - site[1]),
     )
     for k in range(PAPER_SIZE):
         result[k] = min(max(numbers[k], -BOUND), BOUND)
 
 
 @kernel(SEE_ALONE, error_model="numpy")
-def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+def _polar(
+    x: Array, y: Array, weights: Array, facts: Array, site: Array, frame: Frame, result: Observation
+) -> None:
     """Fill `frame` and `result` (POLAR_SIZE,) from particles (N,), whose weights change, and facts (13,)."""
-    inside, off, spread, xx, xy = _frame(x, y, weights, facts, frame)
+    inside, off, spread, xx, xy = _frame(x, y, weights, facts, site, frame)
     _fill_cells(x, y, weights, facts, frame, result[:CELLS])
-    _fill_gains(x, y, weights, facts, frame, result[CELLS : POLAR_SIZE - NUMBERS])
+    _fill_gains(x, y, weights, facts, site, frame, result[CELLS : POLAR_SIZE - NUMBERS])
     px, py = facts[X], facts[Y]
     c, s, mirror = frame
     speed = math.sqrt(facts[WIND_X] * facts[WIND_X] + facts[WIND_Y] * facts[WIND_Y])
@@ -219,8 +236,8 @@ def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, resul
         1 / (diffusivity * facts[LIFETIME]) + speed * speed / (4 * diffusivity * diffusivity)
     )
     said = math.sqrt(facts[XX] + facts[YY])
-    middle = 0.5 * (SOURCE_LOW_M + SOURCE_HIGH_M)
-    to_x, to_y = middle - px, middle - py
+    to_x, to_y = 0.5 * (site[4] + site[6]) - px, 0.5 * (site[5] + site[7]) - py
+    east, north = (px - site[0]) / (site[2] - site[0]), (py - site[1]) / (site[3] - site[1])
     # Mirroring at the diagonal maps the area onto itself, so a mirrored frame becomes a plain one if x and y
     # are swapped.
     plain = mirror > 0
@@ -246,8 +263,8 @@ def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, resul
         mirror * (c * to_y - s * to_x) / 15,
         c if plain else s,
         s if plain else c,
-        (px if plain else py) / AREA_M,
-        (py if plain else px) / AREA_M,
+        east if plain else north,
+        north if plain else east,
         log(inside + 1e-3) / 3,
     )
     for k in range(NUMBERS):
@@ -260,13 +277,14 @@ def _paper_of_missions(
     _weights: Array,
     _totals: Array,
     facts: Array,
+    site: Array,
     missions: Indices,
     frames: Array,
     results: NDArray[np.float32],
 ) -> None:
     nothing = np.empty(0)
     for b in missions:
-        _paper(nothing, nothing, nothing, facts[b], frames[b], results[b])
+        _paper(nothing, nothing, nothing, facts[b], site, frames[b], results[b])
 
 
 @kernel(SEE_MISSIONS, nogil=True)
@@ -275,6 +293,7 @@ def _polar_of_missions(
     weights: Array,
     totals: Array,
     facts: Array,
+    site: Array,
     missions: Indices,
     frames: Array,
     results: NDArray[np.float32],
@@ -285,7 +304,7 @@ def _polar_of_missions(
         for i in range(len(x)):  # float32 values, as on the wire
             x[i], y[i] = np.float32(particles[b, 0, i]), np.float32(particles[b, 1, i])
             sent[i] = np.float32(weights[b, i] / totals[b])
-        _polar(x, y, sent, facts[b], frames[b], results[b])
+        _polar(x, y, sent, facts[b], site, frames[b], results[b])
 
 
 @dataclass(frozen=True)
@@ -294,13 +313,18 @@ class Schema:
 
     version: int
     size: int  # numbers in an observation
-    _see: Callable[[Array, Array, Array, Array, Frame, Observation], None]
+    _see: Callable[[Array, Array, Array, Array, Array, Frame, Observation], None]
     # Fills the last two arguments for the given missions: (particles (B, 2, N), weights (B, N), their sums
-    # (B,), facts (B, 13), missions (M,), frames (B, 3), observations (B, size)).
-    see_missions: Callable[[Array, Array, Array, Array, Indices, Array, NDArray[np.float32]], None]
+    # (B,), facts (B, 13), site (8,), missions (M,), frames (B, 3), observations (B, size)).
+    see_missions: Callable[[Array, Array, Array, Array, Array, Indices, Array, NDArray[np.float32]], None]
 
-    def see(self, belief: Belief, particles: Particles) -> tuple[Observation, Frame]:
-        """Return the observation of a belief, (size,), and its frame, in which actions are meant too."""
+    def see(
+        self, belief: Belief, particles: Particles, problem: Problem = PAPER
+    ) -> tuple[Observation, Frame]:
+        """Return the observation of a belief, (size,), and its frame, in which actions are meant too.
+
+        problem: that the policy is trained for.
+        """
         rows = np.array(particles.T, np.float64, order="C")
         columns, weights = dict(zip(belief.unknowns, rows, strict=False)), rows[-1]
         x, y = (
@@ -318,7 +342,7 @@ class Schema:
             belief.lifetime,
         )
         frame, result = np.empty(3), np.empty(self.size, np.float32)
-        self._see(x, y, weights, np.array(facts), frame, result)
+        self._see(x, y, weights, np.array(facts), site_of(problem), frame, result)
         return result, frame
 
 

@@ -16,8 +16,9 @@ from agent.planners import registry
 from agent.planning.moves import Reach
 from link import cli
 from link.bus.messages import Belief, Particles
+from plume.problem import PAPER, Problem
 from plume.randomness import keyed
-from plume.scenario import AREA_M
+from plume.scenario import STEP_M
 
 # (belief, particles, how it may move, keyed randomness) -> the next waypoint (x, y) m.
 Policy = Callable[[Belief, Particles, Reach, np.random.Generator], Sequence[float]]
@@ -158,23 +159,50 @@ def _planned(name: str) -> Policy:
     return waypoint
 
 
-def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: float = AREA_M) -> Reach:
-    """Return what a policy may choose from: the planner's own `Reach`, with the area and the given fields.
+def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), problem: Problem = PAPER) -> Reach:
+    """Return what a policy may choose from: the planner's own `Reach`, with the problem's area and step.
 
-    Raises ValueError.
+    The given fields come first. Raises ValueError.
     """
+    step = {} if problem.step_m == STEP_M else {"step": problem.step_m}
     if name in registry.PLANNERS:
-        return registry.reach(name, {**given, "area_m": area_m})
+        return registry.reach(name, {**step, **given}, problem.area)
     if bundle_path(name):
         if given:
             flags = ", ".join(f"--{flag}" for flag in given)
             raise ValueError(f"{flags} is for planners; {name} moves as it was trained to")
-        if area_m != AREA_M:
-            raise ValueError(
-                f"--area: {area_m:g} is not allowed with {name}; learned policies see the area that they "
-                f"were trained in, {AREA_M:g} m"
-            )
-    return Reach(**given, area_m=area_m)  # type: ignore[arg-type]
+        if refusal := _unlike(problem, _trained_for(name)):
+            raise ValueError(f"--problem: {refusal}")
+    return Reach(**{**step, **given}, area=problem.area)  # type: ignore[arg-type]
+
+
+def _trained_for(name: str) -> Problem:
+    """Return the problem that a learned policy was trained for. Raises ValueError."""
+    path = bundle_path(name)
+    if path is None or path in SHIPPED.values():
+        return PAPER
+    from agent.bundle import BundleError, read, trained_for
+
+    try:
+        return trained_for(read(path)[0])
+    except BundleError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _unlike(problem: Problem, trained: Problem) -> str:
+    """Return why a learned policy refuses a problem; empty if it was trained for such a one."""
+    if problem.area != trained.area:
+        said = f"the area {problem.area.text}"
+    elif problem.step_m != trained.step_m:
+        said = f"a step of {problem.step_m:g} m"
+    elif problem.expected != trained.expected:
+        said = f"the prior {problem.expected.text}"
+    else:
+        return ""
+    return (
+        f"{said} is not allowed with a learned policy; it was trained in the area {trained.area.text}, in "
+        f"steps of {trained.step_m:g} m, with the source expected in {trained.expected.text}"
+    )
 
 
 def choose(name: str, belief: Belief, particles: Particles, seed: int, within: Reach) -> tuple[float, float]:
@@ -200,7 +228,7 @@ def choose(name: str, belief: Belief, particles: Particles, seed: int, within: R
         place = np.empty(0)
     if place.shape != (2,) or not np.isfinite(place).all():
         raise PolicyError(f"policy {name} said {_short(repr(said))}; wanted a waypoint (x, y) in metres")
-    x, y = np.clip(place, 0.0, within.edge).astype(np.float32).tolist()
+    x, y = within.wire.clipped(place).astype(np.float32).tolist()
     return x, y
 
 

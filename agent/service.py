@@ -15,6 +15,7 @@ from link.bus.messages import Belief, Health, Particles, unpack_particles
 from link.bus.session import Arrival, Bus
 from plume.elementary import float32
 from plume.parameters import MOST, PARAMETERS
+from plume.problem import Area
 from plume.sensors.names import numbers, parse
 
 
@@ -24,19 +25,20 @@ def waypoints(text: str, within: Reach) -> dict[int, tuple[float, float]]:
     Raises ValueError.
     """
     first, _, rest = text.partition(":")
+    east, north = within.wire.high
     try:
         points = [tuple(map(float, point.split(","))) for point in rest.split(";")]
         path = {
-            int(first) + number: (float32(min(x, within.edge)), float32(min(y, within.edge)))
+            int(first) + number: (float32(min(x, east)), float32(min(y, north)))
             for number, (x, y) in enumerate(points)
         }
-        if min(path) >= 0 and all(0.0 <= value <= within.area_m for point in points for value in point):
+        if min(path) >= 0 and all(map(within.area.holds, points)):
             return path
     except ValueError:
         pass
     raise ValueError(
-        f"--waypoints: {text!r} is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to "
-        f"{within.area_m:g} m"
+        f"--waypoints: {text!r} is not allowed; wanted STEP:X,Y;X,Y;... with places in the area, "
+        f"{within.area.text}"
     )
 
 
@@ -70,7 +72,7 @@ def run(
             health = bus.decode(arrival, Health)
             if health and health.system not in (0, system):
                 system, codec = health.system, Codec(health.system, ONBOARD_COMPUTER)
-        received = _belief(bus, arrival, reach.area_m)
+        received = _belief(bus, arrival, reach.area)
         if received is None:
             continue
         belief, particles = received
@@ -94,7 +96,7 @@ def run(
         bus.answered()
 
 
-def _belief(bus: Bus, arrival: Arrival, area_m: float) -> tuple[Belief, Particles] | None:
+def _belief(bus: Bus, arrival: Arrival, area: Area) -> tuple[Belief, Particles] | None:
     """Return the belief of a message.
 
     An invalid one, which no policy could answer, is refused and gives None; so does all else.
@@ -107,7 +109,7 @@ def _belief(bus: Bus, arrival: Arrival, area_m: float) -> tuple[Belief, Particle
     if belief is None:
         return None
     try:
-        check(belief, area_m)
+        check(belief, area)
         particles = unpack_particles(arrival.attachment, len(belief.unknowns))
         if np.abs(particles).max() > MOST:
             raise ValueError(f"a particle holds a number beyond ±{MOST:g}")
@@ -117,17 +119,15 @@ def _belief(bus: Bus, arrival: Arrival, area_m: float) -> tuple[Belief, Particle
         return None
 
 
-def check(belief: Belief, area_m: float) -> None:
+def check(belief: Belief, area: Area) -> None:
     """Raise ValueError unless a belief is one that an agent can plan with."""
     names = belief.unknowns
     if not set(names) <= set(PARAMETERS) or len(set(names)) < len(names):
         raise ValueError(f"unknowns {' '.join(names)!r} are not distinct names of {' '.join(PARAMETERS)}")
     if not len(names) == len(belief.means) == len(belief.stds):
         raise ValueError(f"{len(belief.means)} means and {len(belief.stds)} stds of {len(names)} unknowns")
-    if not all(0.0 <= value <= area_m for value in belief.position):
-        raise ValueError(
-            f"position {belief.position} is outside the area [0, {area_m:g}] x [0, {area_m:g}] m"
-        )
+    if not area.holds(belief.position):
+        raise ValueError(f"position {belief.position} is outside the area {area.text}")
     positive = belief.rate, belief.diffusivity, belief.lifetime
     others = (
         *numbers(parse(belief.sensor)).values(),

@@ -2,10 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
+
+from plume.problem import AREA, Area
 
 # (north, east, down): position in m from home, velocity in m/s or acceleration in m/s². Down grows towards
 # the ground.
@@ -30,11 +33,17 @@ def metres(value: float) -> str:
 class AircraftConfig:
     """Where an aircraft may fly, and how long it may be left without a waypoint."""
 
-    area_m: float = 30.0  # side of the search area [0, area]²: x east, y north, origin at home
+    area: Area = AREA  # where it searches: x east, y north, m from home
     ceiling_m: float = 120.0  # highest altitude above home
     takeoff_altitude_m: float = 5.0
     # Time without a setpoint after which OFFBOARD fails safe: return in the air, disarm on the ground
     silence_s: float = 30.0
+
+    @cached_property
+    def flown(self) -> Area:
+        """Where it may fly: the search area, and what it crosses on the way from home."""
+        (west, south), (east, north) = self.area.low, self.area.high
+        return Area((min(west, 0.0), min(south, 0.0)), (max(east, 0.0), max(north, 0.0)))
 
     def outside(self, position: Ned) -> tuple[str, str] | None:
         """Return why a position (NED, m from home) is outside the area or the altitudes: kind and reason.
@@ -45,11 +54,8 @@ class AircraftConfig:
         place = f"({metres(east)}, {metres(north)}) m"
         if not all(map(math.isfinite, position)):
             return "not finite", f"{place} at {metres(-down)} m is not finite"
-        if not (0.0 <= east <= self.area_m and 0.0 <= north <= self.area_m):
-            return (
-                "outside the area",
-                f"{place} is outside the area [0, {self.area_m:g}] x [0, {self.area_m:g}] m",
-            )
+        if not self.flown.holds((east, north)):
+            return "outside the area", f"{place} is outside the area {self.flown.text}"
         if not 0.0 <= -down <= self.ceiling_m:
             return "outside the altitudes", f"altitude {metres(-down)} m is outside [0, {self.ceiling_m:g}] m"
         return None

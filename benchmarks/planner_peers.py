@@ -179,7 +179,7 @@ class StoneSoup:
             states=[State([[belief.position[0]], [belief.position[1]], [belief.altitude_m]], timestamp=now)],
             position_mapping=(0, 1, 2),
             action_mapping=(0, 1),
-            action_space=np.array([[0, reach.area_m], [0, reach.area_m]]),
+            action_space=np.array([*zip(reach.area.low, reach.area.high, strict=True)]),
             max_speed=reach.step,
             resolution=reach.step,
             angle_resolution=2 * np.pi / reach.headings,

@@ -9,8 +9,9 @@ from estimator.options import add_sensor_argument, criteria, knowledge
 from link import cli
 from link.bus.session import Bus
 from plume.parameters import LIMITS
+from plume.problem import FARTHEST_M
+from plume.problems.options import add_problem_argument, problem_of
 from plume.randomness import MAX_SEED
-from plume.scenario import AREA_M
 
 
 def main(prog: str = "python -m estimator", arguments: list[str] | None = None) -> None:
@@ -21,6 +22,7 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
     cli.add_bus_arguments(parser)
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
+    add_problem_argument(parser)
     parser.add_argument(
         "--seed",
         type=cli.whole(0, MAX_SEED),
@@ -50,10 +52,10 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
     )
     parser.add_argument(
         "--area",
-        type=cli.number(0, 100_000, above=True),
-        default=AREA_M,
+        type=cli.number(0, FARTHEST_M, above=True),
         metavar="M",
-        help="side of the square search area, m; its south-west corner is home (default: %(default)g)",
+        help="side of a square search area with its south-west corner at home, m (default: the problem's "
+        "area)",
     )
     parser.add_argument(
         "--sysid",
@@ -63,7 +65,8 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
     )
     args = parser.parse_args(arguments)
     try:
-        known, (stop,) = knowledge(args, args.area), criteria(args)
+        problem = problem_of(args)
+        known, (stop,) = knowledge(args, problem), criteria(args, problem)
     except ValueError as error:
         parser.error(str(error))
 
@@ -77,8 +80,9 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         args.rate,
         args.diffusivity,
         args.lifetime,
-        args.area,
+        problem.area,
         within=stop.within,
+        expected=problem.prior,
         **known,
     )
     with Bus(

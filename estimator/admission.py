@@ -23,9 +23,8 @@ def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[s
 
     `latest` is the last reading admitted.
     """
-    if not all(0.0 <= value <= config.area_m for value in reading.position):
-        area = f"[0, {config.area_m:g}] x [0, {config.area_m:g}] m"
-        return "outside", f"position {reading.position} is outside the area {area}"
+    if not config.area.holds(reading.position):
+        return "outside", f"position {reading.position} is outside the area {config.area.text}"
     east, north = reading.wind
     if east * east + north * north > STRONGEST_WIND_MPS * STRONGEST_WIND_MPS:
         return "absurd", f"wind {reading.wind} is absurd; allowed is up to {STRONGEST_WIND_MPS:g} m/s"

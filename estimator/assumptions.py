@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from estimator.priors import Fixed, LogNormal, Normal, Prior, Uniform
 from plume.parameters import PARAMETERS
+from plume.problem import Area
 from plume.sensors.names import Sensor, fluctuates
 from plume.sensors.sensor import Hits
 
@@ -87,9 +88,9 @@ def effective_priors(
     return priors | dict(given)
 
 
-def margin(assume: str, area_m: float, given_m: float | None) -> float:
-    """Return how far beyond the edges of an area with this side the source may be, m, unless it is given."""
-    return MARGIN[assume] * area_m if given_m is None else given_m
+def margin(assume: str, area: Area, given_m: float | None) -> float:
+    """Return how far beyond the edges of an area the source may be, m, unless it is given."""
+    return MARGIN[assume] * area.side_m if given_m is None else given_m
 
 
 def _check(given: Mapping[str, Prior], sensor: Sensor) -> None:

@@ -207,7 +207,8 @@ def share_outside(posterior: Posterior, config: Config) -> float:
     outside = np.zeros(len(posterior.weights), bool)
     for row, name in zip(posterior.particles, config.unknowns, strict=True):
         if name in ("x", "y"):
-            outside |= (row < 0) | (row > config.area_m)
+            axis = "xy".index(name)
+            outside |= (row < config.area.low[axis]) | (row > config.area.high[axis])
     return float(posterior.weights[outside].sum() / posterior.weights.sum())
 
 

@@ -44,12 +44,14 @@ def parse(text: str) -> Criterion:
     return Criterion(numbers[0]) if kind == "spread" else Criterion(within=(numbers[0], numbers[1]))
 
 
-def chosen(threshold_m: float, stop: str | None) -> Criterion:
-    """Return the criterion of two arguments of which one may be given.
+def chosen(threshold_m: float, stop: str | None, usual: str | None = None) -> Criterion:
+    """Return the criterion of two arguments of which one may be given, else the usual one.
 
     `threshold_m` is the short form of `stop="spread:…"`. Raises ValueError if both are given, or if `stop` is
     not allowed.
     """
+    if threshold_m == USUAL_THRESHOLD_M and stop is None:
+        stop = usual
     if stop is None:
         return Criterion(threshold_m)
     if threshold_m != USUAL_THRESHOLD_M:

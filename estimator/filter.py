@@ -19,8 +19,9 @@ from link.bus.mavlink import Reading
 from plume.elementary import Array, Indices
 from plume.flight import leg_s
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS, PUFF_RATE
+from plume.problem import AREA, Area
 from plume.randomness import keyed
-from plume.scenario import AREA_M, LIFETIME_S
+from plume.scenario import LIFETIME_S
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import GAUSSIAN, Sensor, lags, sensor_row, text
 from plume.sensors.sensor import Gaussian
@@ -45,8 +46,8 @@ class Config:
     rate: float = 300.0
     diffusivity: float = 4.5  # d, m²/s, unless it has a prior
     lifetime: float = LIFETIME_S  # τ, s, unless it has a prior
-    area_m: float = AREA_M  # side of the square search area, m
-    # How far beyond the area's edges the source may be, m; None is a third of `area_m` under `field`, else 0.
+    area: Area = AREA  # where the search flies
+    # How far beyond the area's edges the source may be, m; None is a third of its side under `field`, else 0.
     margin_m: float | None = None
     # Priors by name of `PARAMETERS`, which replace those of `assume` one by one. x and y are uniform over the
     # area by default, and less dense in the margin around it. Without a prior, the source's height z is the
@@ -61,6 +62,8 @@ class Config:
     assume: str = "paper"  # what is taken to be known: a name of `estimator.assumptions.ASSUMPTIONS`
     # (R, P): the search stops when at least the share P of the belief lies within R m of the estimate.
     within: tuple[float, float] | None = None
+    # The part of the area where the source is expected, uniformly; None: all of it, and the margin around it.
+    expected: Area | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.sensor, Sensor):
@@ -103,12 +106,12 @@ class Config:
         """(15, 5): the priors as the kernels take them."""
         cv = self.sensor.cv if isinstance(self.sensor, Gaussian) else 0.0
         known = {"q": self.rate, "d": self.diffusivity, "tau": self.lifetime, "z": 0.0, **NEUTRAL, "cv": cv}
-        return table(self.effective_priors, known, self.area_m, self.margin)
+        return table(self.effective_priors, known, self.area, self.margin, self.expected)
 
     @property
     def margin(self) -> float:
         """How far beyond the area's edges the source may be, m."""
-        return margin(self.assume, self.area_m, self.margin_m)
+        return margin(self.assume, self.area, self.margin_m)
 
     @cached_property
     def unknown_indices(self) -> Indices:

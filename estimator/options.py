@@ -11,8 +11,9 @@ from estimator.assumptions import effective_priors, margin, unknowns
 from estimator.priors import Fixed, Prior, draw, parse, table
 from link import cli
 from plume.parameters import PARAMETERS
+from plume.problem import PAPER, Problem
+from plume.problems.names import sensor_of
 from plume.randomness import keyed
-from plume.scenario import AREA_M
 from plume.sensors import names as sensor
 
 TRIED = 1000  # values that are drawn of a prior before it is taken: a service then need not refuse it
@@ -23,10 +24,9 @@ def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
     kind = parser.add_argument(
         "--sensor",
         type=cli.checked(sensor.parse, sensor.KINDS),
-        default="gaussian",
         metavar="KIND[:NUMBERS]",
         help="the gas sensor: a name of `plumeward list sensors`, with numbers to change: "
-        "threshold:0.5,0.3 or pid:drift=0 (default: %(default)s)",
+        "threshold:0.5,0.3 or pid:drift=0 (default: the problem's, gaussian)",
     )
     cli.completed(kind, lambda: sensor.KINDS)
     add_dwell_argument(parser)
@@ -42,11 +42,16 @@ def add_dwell_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def criteria(args: argparse.Namespace) -> list[criterion.Criterion]:
+def criteria(args: argparse.Namespace, problem: Problem = PAPER) -> list[criterion.Criterion]:
     """Return the stop criteria of --threshold or --stop, several where a command takes several.
 
-    Raises ValueError with what is allowed.
+    Without either it is the problem's. Raises ValueError with what is allowed.
     """
+    if args.stop is None and args.threshold is None:
+        try:
+            return [criterion.parse(problem.stop)]
+        except ValueError as error:
+            raise ValueError(f"--problem: stop: {error}") from None
     if args.stop is None:
         thresholds_m = args.threshold if isinstance(args.threshold, list) else [args.threshold]
         return [criterion.Criterion(threshold_m) for threshold_m in thresholds_m]
@@ -57,19 +62,20 @@ def criteria(args: argparse.Namespace) -> list[criterion.Criterion]:
         raise ValueError(f"--stop: {error}") from None
 
 
-def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any]:
+def knowledge(args: argparse.Namespace, problem: Problem = PAPER) -> dict[str, Any]:
     """Return the fields of `Config` that --assume, --prior, --margin, --stop-on and --sensor set.
 
-    `area_m` is the side of the area. Raises ValueError with what is allowed.
+    problem: with what --sensor overrides. Raises ValueError with what is allowed.
     """
-    assumed = sensor.parse(sensor.dwelling(args.sensor, args.dwell))
+    assumed = sensor_of(problem)
     priors: dict[str, Prior] = {}
     try:
         for text in args.prior:
             name, prior = parse(text)
             if not isinstance(prior, Fixed):
-                margin_m = margin(args.assume, area_m, args.margin)
-                rows, index = table({name: prior}, {}, area_m, margin_m), np.array([PARAMETERS.index(name)])
+                margin_m = margin(args.assume, problem.area, args.margin)
+                rows = table({name: prior}, {}, problem.area, margin_m)
+                index = np.array([PARAMETERS.index(name)])
                 draw(rows, index, TRIED, keyed(0, "trial"))
             priors[name] = prior
         unknown = unknowns(effective_priors(args.assume, priors, 1.0, 1.0, assumed))

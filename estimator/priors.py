@@ -22,6 +22,7 @@ from plume.parameters import (
     X,
     Y,
 )
+from plume.problem import Area
 from plume.randomness import standard_gamma, standard_normal
 
 SMALLEST = 1e-6  # lower bound of a positive parameter under every prior, so that it stays above 0
@@ -122,12 +123,13 @@ def parse(text: str) -> tuple[str, Prior]:
     return name, prior
 
 
-def support(name: str, prior: Prior, area_m: float, margin_m: float) -> tuple[float, float]:
+def support(name: str, prior: Prior, area: Area, margin_m: float) -> tuple[float, float]:
     """Return the ends of a parameter's range under its prior. Raises ValueError if there is no range."""
     low = SMALLEST if name in POSITIVE else 0.0 if name in ("u", "cv") else -MOST
     high = MOST_OF.get(name, MOST)
     if name in ("x", "y"):
-        low, high = 0.0 - margin_m, area_m + margin_m
+        axis = "xy".index(name)
+        low, high = area.low[axis] - margin_m, area.high[axis] + margin_m
     match prior:
         case Uniform(a, b):
             low, high = max(low, a), min(high, b)
@@ -143,26 +145,32 @@ def support(name: str, prior: Prior, area_m: float, margin_m: float) -> tuple[fl
 
 
 def table(
-    priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float, margin_m: float = 0.0
+    priors: Mapping[str, Prior],
+    known: Mapping[str, float],
+    area: Area,
+    margin_m: float = 0.0,
+    expected: Area | None = None,
 ) -> Array:
     """Return the priors as the kernels take them, (15, 5): kind, two numbers, ends of the support.
 
     The numbers of LOGNORMAL are log median and sigma. A parameter in neither `priors` nor `known` (u, φ) is
-    measured. Without a prior, x and y are uniform over the area, [0, area_m], and BEYOND times as dense up
-    to margin_m beyond its edges.
+    measured. Without a prior, x and y are uniform over the area, and BEYOND times as dense up to margin_m
+    beyond its edges; where the source is `expected` in a part of the area, uniform over that.
     """
     rows = np.zeros((len(PARAMETERS), 5))
-    anywhere = (AROUND if margin_m else UNIFORM), 0.0, area_m, 0.0 - margin_m, area_m + margin_m
+    inner, off_m = (expected, 0.0) if expected else (area, margin_m)
+    kind, ends = AROUND if off_m else UNIFORM, zip(inner.low, inner.high, strict=True)
+    anywhere = [(kind, low, high, low - off_m, high + off_m) for low, high in ends]
     for index, name in enumerate(PARAMETERS):
         match priors.get(name, Fixed(known[name]) if name in known else None):
             case None:
-                rows[index] = anywhere if index in (X, Y) else (MEASURED, 0, 0, 0, 0)
+                rows[index] = anywhere[index] if index in (X, Y) else (MEASURED, 0, 0, 0, 0)
             case Fixed(value):
                 rows[index] = KNOWN, value, 0, value, value
             case LogNormal(median, sigma) as prior:
-                rows[index] = LOGNORMAL, float(log(median)), sigma, *support(name, prior, area_m, margin_m)
+                rows[index] = LOGNORMAL, float(log(median)), sigma, *support(name, prior, area, margin_m)
             case prior:
-                rows[index] = FAMILIES[type(prior)], *astuple(prior), *support(name, prior, area_m, margin_m)
+                rows[index] = FAMILIES[type(prior)], *astuple(prior), *support(name, prior, area, margin_m)
     return rows
 
 

@@ -247,10 +247,9 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
     stop.add_argument(
         "--threshold",
         type=listed(threshold) if several else threshold,
-        default=[0.5] if several else 0.5,
         metavar="M",
         help=f"stop when the spread of the belief is below M metres, the short form of --stop spread:M{more} "
-        "(default: 0.5)",
+        "(default: the problem's, 0.5)",
     )
     add_stop_argument(stop, several=several)
     parser.add_argument(
@@ -299,18 +298,17 @@ def add_stop_argument(parser: argparse._ActionsContainer, *, several: bool = Fal
         help="spread:Z stops when the spread of the belief is below Z metres, within:R,P when at least the "
         "share P of the belief is within "
         f"R metres of the estimate, as in within:1,0.99{'; may be repeated' if several else ''} (default: "
-        "spread:0.5)",
+        "the problem's, spread:0.5)",
     )
 
 
-def add_reach_arguments(parser: argparse.ArgumentParser, budget: int) -> None:
+def add_reach_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags that set how often and how a planner may move, and how many readings it samples."""
     parser.add_argument(
         "--budget",
         type=whole(1, 1_000_000),
-        default=budget,
         metavar="STEPS",
-        help="give up after this many moves (default: %(default)s)",
+        help="give up after this many moves (default: the problem's, 300)",
     )
     parser.add_argument(
         "--headings",
@@ -319,7 +317,10 @@ def add_reach_arguments(parser: argparse.ArgumentParser, budget: int) -> None:
         help="directions that the planner chooses from (default: the planner's own)",
     )
     parser.add_argument(
-        "--step", type=number(0, 10, above=True), metavar="M", help="length of a move, m (default: 1)"
+        "--step",
+        type=number(0, 10_000, above=True),
+        metavar="M",
+        help="length of a move, at most a third of the area's shorter side, m (default: the problem's, 1)",
     )
     parser.add_argument(
         "--measurements",

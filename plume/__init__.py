@@ -1,4 +1,4 @@
-"""The physics that all parts share: dispersion, sensors, scenarios, draws, and how long a leg takes.
+"""The physics that all parts share: dispersion, problems, scenarios, draws, and how long a leg takes.
 Imports: nothing of ours.
 """
 

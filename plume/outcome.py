@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from plume.elementary import quantiles
 from plume.geodesy import to_global
-from plume.scenario import AREA_M, AS_MODELLED, SUCCESS_RADIUS_M, SURE_OUTSIDE, Scenario
+from plume.problem import AREA, Area
+from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M, SURE_OUTSIDE, Scenario
 
 Quantiles = tuple[float, float, float]  # 5, 50 and 95%
 NOTHING: Mapping[str, Quantiles] = MappingProxyType({})
@@ -111,7 +112,7 @@ def verdict(
     estimate: tuple[float, float],
     source: tuple[float, float] | None,
     outside_share: float,
-    area_m: float = AREA_M,
+    area: Area = AREA,
 ) -> str:
     """Return how a search has ended.
 
@@ -126,15 +127,7 @@ def verdict(
         return "outside" if says_outside else "ceased"
     if math.dist(estimate, source) <= SUCCESS_RADIUS_M:
         return "outside" if says_outside else "located"
-    return "outside" if says_outside and beyond(source, area_m) else "FALSE STOP"
-
-
-def beyond(place: tuple[float, float], area_m: float = AREA_M) -> str:
-    """Return beyond which edges of the area a place is: north, north-east, …; empty if it is inside."""
-    x, y = place
-    north = "north" if y > area_m else "south" if y < 0 else ""
-    east = "east" if x > area_m else "west" if x < 0 else ""
-    return "-".join(filter(None, (north, east)))
+    return "outside" if says_outside and area.beyond(source) else "FALSE STOP"
 
 
 def outside_text(outside_share: float, to: str) -> str:
@@ -153,7 +146,7 @@ def outcome(
     stop: str,
     world: str = AS_MODELLED,
     outside_share: float = 0.0,
-    area_m: float = AREA_M,
+    area: Area = AREA,
     intermittency: Mapping[str, Quantiles] = NOTHING,
     advised_dwell_s: float = 0.0,
     last_word: LastWord | None = None,
@@ -167,7 +160,7 @@ def outcome(
     """
     last = trace[-1]
     source = scenario.nearest(last.mean) if scenario else None
-    ended = verdict(ceased, last.mean, source, outside_share, area_m)
+    ended = verdict(ceased, last.mean, source, outside_share, area)
     error_m = math.dist(last.mean, source) if source else None
     latitude_deg, longitude_deg = on_earth(home, last.mean)
     return Outcome(
@@ -190,7 +183,7 @@ def outcome(
         world=world,
         outside=ended == "outside",
         outside_share=outside_share,
-        outside_to=beyond(last.mean, area_m),
+        outside_to=area.beyond(last.mean),
         intermittency=dict(intermittency),
         advised_dwell_s=advised_dwell_s or None,
         latitude_deg=latitude_deg,

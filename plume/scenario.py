@@ -1,12 +1,16 @@
 """The scenarios that missions are flown in: the paper's Table 1, drawn by seed."""
 
 import math
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
 from plume.elementary import direction
 from plume.randomness import keyed, uniform
+
+if TYPE_CHECKING:
+    from plume.problem import Problem
 
 AREA_M = 30.0  # side of the square search area [0, AREA_M]², m
 SOURCE_LOW_M, SOURCE_HIGH_M = 10.0, 25.0  # Table 1 draws the source's x and y from this range, m
@@ -20,6 +24,16 @@ INCOMPATIBLE = 1e-4  # below this p-value the readings do not fit the model: the
 AS_MODELLED = "as-modelled"  # the world that matches what the estimator assumes
 # τ, s. Table 1 states none; the paper's illustration has 10 s.
 LIFETIME_S = 10.0
+# Table 1's uniform distributions: q, g/s; u, m/s; φ, rad; d, m²/s.
+SOURCE, START = (SOURCE_LOW_M, SOURCE_HIGH_M), (0.0, 5.0)  # of x and y, m
+RATES, WIND_SPEEDS, WIND_FROM, DIFFUSIVITIES = (100.0, 500.0), (1.0, 4.0), (0.0, math.tau), (1.0, 8.0)
+# Least and greatest of the source's x and y, q, u, φ, d, and the start's x and y.
+TABLE_1 = tuple(
+    np.array(
+        [each[end] for each in (*[SOURCE] * 2, RATES, WIND_SPEEDS, WIND_FROM, DIFFUSIVITIES, *[START] * 2)]
+    )
+    for end in (0, 1)
+)
 
 
 class WorldError(ValueError):
@@ -57,13 +71,13 @@ def nearest(
     return second if second and math.dist(place, second) < math.dist(place, source) else source
 
 
-def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:
-    """Draw a scenario of the paper's training and test distribution (Table 1).
+def draw(seed: int, problem: "Problem | None" = None) -> Scenario:
+    """Draw a scenario of a problem, by default of the paper's training and test distribution (Table 1).
 
     Args:
         seed: A whole number from 0. The same seed gives the same scenario; test scenarios are the seeds
             from 1,000,000 on.
-        lifetime_s: Lifetime τ of the gas, s.
+        problem: Where the source and the start are, and the release's distributions.
 
     Returns:
         The release, the wind and the start of the search. It holds the true source.
@@ -71,7 +85,10 @@ def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:
     Example:
         `plumeward.draw(7).source` is where the source of mission 7 is, (x, y) in metres.
     """
-    low = np.array([SOURCE_LOW_M, SOURCE_LOW_M, 100.0, 1.0, 0.0, 1.0, 0.0, 0.0])
-    high = np.array([SOURCE_HIGH_M, SOURCE_HIGH_M, 500.0, 4.0, 2 * np.pi, 8.0, 5.0, 5.0])
+    low, high = problem.spans if problem else TABLE_1
     x, y, q, u, phi, d, start_x, start_y = uniform(keyed(seed, "scenario"), low, high).tolist()
-    return Scenario(source=(x, y), q=q, u=u, phi=phi, d=d, tau=lifetime_s, start=(start_x, start_y))
+    tau = problem.tau if problem else LIFETIME_S
+    if isinstance(tau, tuple):
+        shortest, longest = tau
+        tau = shortest + (longest - shortest) * keyed(seed, "lifetime").random()
+    return Scenario(source=(x, y), q=q, u=u, phi=phi, d=d, tau=tau, start=(start_x, start_y))

@@ -1,7 +1,7 @@
 """Plumeward: simulate a gas leak, search for it with a drone, and measure how far to trust the search.
 
-Imports: plume, plume.sensors, plume.worlds, link, link.bus, link.record, estimator, sitl, sitl.script,
-sitl.launch, agent, agent.trials, agent.learn.
+Imports: plume, plume.sensors, plume.worlds, plume.problems, link, link.bus, link.record, estimator, sitl,
+sitl.script, sitl.launch, agent, agent.trials, agent.learn.
 
 `import plumeward` registers the gymnasium environments `plumeward/SourceSearch-v0` and
 `plumeward/SourceSearchContinuous-v0`. It does not load gymnasium, but waits until somebody does. The other
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from link.record.reader import Recording
     from link.record.reader import read as read_record
     from plume.outcome import Outcome, TracePoint
+    from plume.problem import Area, Problem
     from plume.scenario import Scenario, draw
     from plume.worlds.world import World
     from plumeward.evaluation import evaluate
@@ -40,6 +41,8 @@ WHERE = {
     "rollout": "agent.trials.rollout",
     "evaluate": "plumeward.evaluation",
     "policies": "agent.policies",
+    "Problem": "plume.problem",
+    "Area": "plume.problem",
     "Scenario": "plume.scenario",
     "draw": "plume.scenario",
     "World": "plume.worlds.world",
@@ -59,10 +62,12 @@ WHERE = {
 }
 
 __all__ = [
+    "Area",
     "Belief",
     "Config",
     "Outcome",
     "Posterior",
+    "Problem",
     "Reading",
     "Recording",
     "Scenario",

@@ -9,7 +9,8 @@ from agent.trials.evaluate import FIRST_TEST_SEED, named
 from agent.trials.rollout import check as check_knowledge
 from agent.trials.sweep import Sweep, fly, on_cores, ordered
 from estimator.criterion import USUAL_THRESHOLD_M, chosen
-from plume.scenario import AS_MODELLED, BUDGET_STEPS
+from plume.problem import PAPER, Problem
+from plume.problems.names import with_arguments
 from plume.worlds.names import check
 
 
@@ -20,9 +21,10 @@ def evaluate(
     first_seed: int = FIRST_TEST_SEED,
     particles: int = 1000,
     threshold_m: float = USUAL_THRESHOLD_M,
-    budget: int = BUDGET_STEPS,
+    budget: int | None = None,
     workers: int = 1,
-    world: str | Sequence[str] = AS_MODELLED,
+    problem: Problem | str = PAPER,
+    world: str | Sequence[str] | None = None,
     assume: str = "field",
     stop: str | None = None,
     **knowledge: Any,
@@ -35,10 +37,11 @@ def evaluate(
         first_seed: Training uses no seed from 1,000,000 on.
         particles: Particles of the filter.
         threshold_m: The search stops when the spread of the belief is below it, m.
-        budget: Moves after which a mission is given up.
+        budget: Moves after which a mission is given up; None: the problem's.
         workers: Processes that fly. A script that asks for more than one needs `if __name__ ==
             "__main__":`.
-        world: A world, as `plumeward.rollout` takes it, or several of them.
+        problem: What is searched, as `plumeward.rollout` takes it.
+        world: A world, as `plumeward.rollout` takes it, or several of them; None: the problem's.
         assume: What the estimator takes to be known: `field` or `paper`, where all but the position is
             known.
         stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
@@ -64,9 +67,13 @@ def evaluate(
         figures["homing"]["located"], figures["homing"]["located_interval"]
         ```
     """
-    names, worlds = ([it] if isinstance(it, str) else list(dict.fromkeys(it)) for it in (policies, world))
+    searched = with_arguments(problem, budget=budget)
+    names, worlds = (
+        [it] if isinstance(it, str) else list(dict.fromkeys(it))
+        for it in (policies, searched.world if world is None else world)
+    )
     for name in worlds:
-        check(name)
+        check(name, searched)
     if not names or not worlds or scenarios < 1 or workers < 1:
         raise ValueError("wanted one policy, one world, one scenario and one worker at least")
     check_knowledge(assume, knowledge)
@@ -74,10 +81,10 @@ def evaluate(
         names,
         range(first_seed, first_seed + scenarios),
         (particles,),
-        (chosen(threshold_m, stop),),
-        budget,
+        (chosen(threshold_m, stop, searched.stop),),
         knowledge={**knowledge, "assume": assume},
         worlds=worlds,
+        problem=searched,
     )
     by_seed = (list(flights) for _, flights in groupby(sweep.flights, key=lambda flight: flight[2]))
     flown = (

@@ -25,6 +25,7 @@ from matplotlib.patches import Ellipse, FancyArrowPatch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
+from plume.problem import Area
 from scene.scene import Release, Scatter, Scene, ellipse
 
 # Settings of matplotlib while a picture is made and saved.
@@ -105,14 +106,14 @@ def ticks(axis: Axis, values: Iterable[float], form: str = "{:g}") -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: form.format(value)))
 
 
-def plume(ax: Axes, release: Release, area_m: float) -> AxesImage:
+def plume(ax: Axes, release: Release, area: Area) -> AxesImage:
     """Shade the mean gas of a plume on a log scale."""
     return ax.imshow(
-        np.maximum(release.gas(area_m, CELLS), GAS[0]),
+        np.maximum(release.gas(area, CELLS), GAS[0]),
         norm=LogNorm(*GAS),
         cmap=PLUME,
         origin="lower",
-        extent=(0, area_m, 0, area_m),
+        extent=(area.low[0], area.high[0], area.low[1], area.high[1]),
         interpolation="bilinear",
     )
 
@@ -226,13 +227,20 @@ class Drawing:
     # ---- what does not change ----
 
     def _lay_map(self) -> None:
-        side_m, release = self._backdrop.area_m, self._backdrop.release
+        area, release = self._backdrop.area, self._backdrop.release
+        (west, south), (east, north) = area.low, area.high
         self.map.grid(visible=False)
         self.map.spines[["top", "right"]].set_visible(True)
-        shades = plume(self.map, release, side_m) if release else ScalarMappable(LogNorm(*GAS), PLUME)
+        shades = plume(self.map, release, area) if release else ScalarMappable(LogNorm(*GAS), PLUME)
         for source in release.sources if release else ():
             self.map.plot(*source, **SOURCE)
-        self.map.plot((0, side_m, side_m, 0, 0), (0, 0, side_m, side_m, 0), color=INK, linewidth=1, zorder=1)
+        self.map.plot(
+            (west, east, east, west, west),
+            (south, south, north, north, south),
+            color=INK,
+            linewidth=1,
+            zorder=1,
+        )
         self.map.set(aspect="equal", xlabel="east, m", ylabel="north, m")
         bar = self.figure.colorbar(shades, cax=self.figure.add_axes((0.475, MAP[1], 0.014, 0.5)))
         bar.set_label("gas, mean and measured, g/m³" if release else "gas measured, g/m³")
@@ -242,7 +250,11 @@ class Drawing:
 
     def _lay_charts(self, scene: Scene) -> None:
         zeta_m = scene.threshold_m
-        self.spread.set(ylabel="spread, m", yscale="log", ylim=(min(0.1, (zeta_m or 1) / 4), 20))
+        self.spread.set(
+            ylabel="spread, m",
+            yscale="log",
+            ylim=(min(0.1, (zeta_m or 1) / 4), max(20, self._backdrop.area.side_m * 2 / 3)),
+        )
         ticks(self.spread.yaxis, (0.1, 0.3, 1, 3, 10))
         self.spread.tick_params(labelbottom=False)
         if zeta_m is not None:
@@ -264,8 +276,14 @@ class Drawing:
 
     def _lay_limits(self) -> None:
         steps, below, above, around_m = self._room
-        ends = -around_m, self._backdrop.area_m + around_m
-        self.map.set(xlim=ends, ylim=ends)
+        area = self._backdrop.area
+        longer_m = max(area.size_m)  # the map is square, whatever the area is
+        ends = [
+            (low - off_m - around_m, high + off_m + around_m)
+            for low, high in zip(area.low, area.high, strict=True)
+            for off_m in [(longer_m - (high - low)) / 2]
+        ]
+        self.map.set(xlim=ends[0], ylim=ends[1])
         for chart in (self.spread, self.gas):
             chart.set_xlim(-0.02 * steps, 1.02 * steps)
         self.gas.set_ylim(-1.2 * below, 1.6 * above)
@@ -275,10 +293,18 @@ class Drawing:
         """Widen charts and map if a scene has more steps or gas, or an estimate further out, than fits."""
         gas = [it.gas for it in scene.measurements if math.isfinite(it.gas)]
         steps = [it.step for it in scene.measurements]
-        release, side_m = self._backdrop.release, self._backdrop.area_m
+        release, area = self._backdrop.release, self._backdrop.area
         places = [*(it.estimate for it in scene.measurements[-1:]), *(release.sources if release else ())]
-        beyond_m = max((max(-along, along - side_m) for place in places for along in place), default=0.0)
-        beyond_m = min(beyond_m, side_m)  # a record may say absurd things
+        edges = [*zip(area.low, area.high, strict=True)]
+        beyond_m = max(
+            (
+                max(low - along, along - high)
+                for place in places
+                for along, (low, high) in zip(place, edges, strict=True)
+            ),
+            default=0.0,
+        )
+        beyond_m = min(beyond_m, area.side_m)  # a record may say absurd things
         needed = max(steps, default=0), -min(gas, default=0.0), max(gas, default=0.0), beyond_m
         room = [had if need <= had else 2.0 * need for had, need in zip(self._room, needed, strict=True)]
         if room != self._room:

@@ -40,6 +40,7 @@ from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from plume.geodesy import to_global
+from plume.problem import Area
 from scene.scene import ERROR, WARNING, Craft, Happening, Measurement, Point, Release, Scatter, Scene, ellipse
 
 TOPICS = "scene/"  # all topics begin with it
@@ -164,9 +165,9 @@ class SceneEncoder:
 
     def _backdrop(self, scene: Scene, stamp_ns: int) -> Iterator[Encoded]:
         """Yield what hardly changes, once."""
-        release, side_m = scene.backdrop.release, scene.backdrop.area_m
+        release, area = scene.backdrop.release, scene.backdrop.area
         if "area" not in self._said:
-            yield from self._marks("area", [_square(side_m)], stamp_ns)
+            yield from self._marks("area", [_outline(area)], stamp_ns)
             yield from self._marks("vehicle", [_arrow()], stamp_ns, VEHICLE_FRAME)
         if release != self._release:
             self._release = release
@@ -180,10 +181,10 @@ class SceneEncoder:
                     column_count=cells,
                     row_stride=4 * cells,
                     cell_stride=4,
-                    pose=_pose(),
-                    cell_size=_at((side_m / PLUME_CELLS, side_m / PLUME_CELLS)),
+                    pose=_pose(area.low),
+                    cell_size=_at((area.size_m[0] / PLUME_CELLS, area.size_m[1] / PLUME_CELLS)),
                     fields=_floats("gas"),
-                    data=release.gas(side_m, cells).astype("<f4", copy=False).tobytes() if release else b"",
+                    data=release.gas(area, cells).astype("<f4", copy=False).tobytes() if release else b"",
                 ),
                 stamp_ns,
             )
@@ -336,7 +337,8 @@ def _disc(measurement: Measurement) -> Part:
     }
 
 
-def _square(side_m: float) -> Part:
+def _outline(area: Area) -> Part:
+    (west, south), (east, north) = area.low, area.high
     return {
         "id": "area",
         "lines": [
@@ -346,7 +348,7 @@ def _square(side_m: float) -> Part:
                 "thickness": 2.0,
                 "scale_invariant": True,  # pixels
                 "points": [
-                    _at(corner) for corner in ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))
+                    _at(corner) for corner in ((west, south), (east, south), (east, north), (west, north))
                 ],
                 "color": _colour("area"),
             }

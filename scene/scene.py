@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.dispersion import concentration
-from plume.outcome import beyond, outside_text, verdict
-from plume.scenario import AREA_M, SURE_OUTSIDE, Scenario, nearest
+from plume.outcome import outside_text, verdict
+from plume.problem import AREA, Area
+from plume.scenario import SURE_OUTSIDE, Scenario, nearest
 
 Point = tuple[float, float]  # (x, y) m
 Floats = NDArray[np.float32]
@@ -44,13 +45,17 @@ class Release:
         """The sources: one, or two."""
         return [self.source, *([self.second] if self.second else [])]
 
-    def gas(self, area_m: float, cells: int) -> Floats:
+    def gas(self, area: Area, cells: int) -> Floats:
         """Return the mean gas in the search plane, g/m³, at the centres of cells.
 
-        Its shape is (cells, cells), row 0 in the south.
+        Its shape is (cells, cells), row 0 in the south; cells are as long as the area by `cells`.
         """
-        axis = (np.arange(cells) + 0.5) * (area_m / cells)
-        x, y = np.meshgrid(axis, axis)
+        x, y = np.meshgrid(
+            *(
+                low + (np.arange(cells) + 0.5) * (length_m / cells)
+                for low, length_m in zip(area.low, area.size_m, strict=True)
+            )
+        )
         places, gas = np.stack([x, y, np.zeros_like(x)], axis=-1), np.zeros_like(x)
         for source in self.sources:
             gas += concentration(
@@ -70,7 +75,7 @@ class Backdrop:
     """What does not change during a mission."""
 
     vehicle: str  # its namespace, `uav/1`
-    area_m: float = AREA_M  # side of the square search area [0, area_m]²
+    area: Area = AREA  # where the search flies
     title: str = ""  # words for people: the policy, the seed; empty if unknown
     release: Release | None = None  # None: a real flight, or a simulation whose truth is not told
     walls: tuple[tuple[Point, ...], ...] = ()  # outlines of buildings, as far as they are known
@@ -205,7 +210,7 @@ class Scene:
     services: Sequence[Service] = ()
     happenings: Sequence[Happening] = ()
     ending: Ending | None = None
-    home: tuple[float, float, float] | None = None  # of the area's corner: degrees, and m above sea
+    home: tuple[float, float, float] | None = None  # latitude and longitude, degrees, and m above sea
     silent_s: float | None = None  # since the vehicle was last heard, by the clock; None in a record
     gauge: Gauge | None = None
 
@@ -224,19 +229,19 @@ def judged(
     spread_m: float,
     outside_share: float,
     release: Release | None,
-    area_m: float = AREA_M,
+    area: Area = AREA,
 ) -> Ending:
     """Return how a search that was stopped has ended.
 
     Only a simulation can tell whether the stop is right.  outside_share: of the belief.
     """
     at = f"({estimate[0]:.2f}, {estimate[1]:.2f}) ± {spread_m:.2f} m after {step} steps"
-    said = outside_text(outside_share, beyond(estimate, area_m))
+    said = outside_text(outside_share, area.beyond(estimate))
     words = f"source {said}, near {at}" if outside_share >= SURE_OUTSIDE else f"source found at {at}"
     source = nearest(estimate, release.source, release.second) if release else None
     if source:
         words += f"; error {math.dist(estimate, source):.2f} m"
-    return Ending(verdict(True, estimate, source, outside_share, area_m), words)
+    return Ending(verdict(True, estimate, source, outside_share, area), words)
 
 
 def ellipse(covariance: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -8,7 +8,8 @@
 import math
 import reprlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import gymnasium
@@ -25,9 +26,10 @@ from agent.planning.moves import HeadingAndStep, Headings, Move
 from estimator.assumptions import ASSUMPTIONS
 from estimator.criterion import FORMS, USUAL_THRESHOLD_M, Criterion, chosen
 from plume.elementary import Array
+from plume.problem import Problem
+from plume.problems import names
 from plume.randomness import MAX_SEED
-from plume.scenario import AREA_M, AS_MODELLED, BUDGET_STEPS
-from plume.worlds import names
+from plume.sensors.names import GAUSSIAN
 
 # Training draws seeds below it. Seeds from it to a million are for validation, above for testing.
 TRAINING_SEEDS = 900_000
@@ -54,10 +56,11 @@ class Settings:
     reward: str = "cost"
     particles: int = 500
     threshold_m: float = USUAL_THRESHOLD_M
-    budget: int = BUDGET_STEPS
-    world: str = AS_MODELLED
+    budget: int | None = None  # None, and of the next one: the problem's
+    world: str | None = None
     assume: str = "paper"  # the shipped policies learned with it
-    stop: str | None = None
+    stop: str | None = None  # None and the usual `threshold_m`: the problem's
+    problem: str | Problem | Mapping[str, Any] = "paper"
 
     def __post_init__(self) -> None:
         if not isinstance(self.continuous, bool | np.bool_):
@@ -70,11 +73,11 @@ class Settings:
             value = getattr(self, name)
             if not isinstance(value, str) or value not in allowed:
                 raise ValueError(f"{name} {value!r} is not allowed; wanted {' or '.join(allowed)}")
-        if not isinstance(self.world, str):
+        if not isinstance(self.world, str | None):
             raise ValueError(f"world {self.world!r} is not allowed; wanted its name")
-        names.check(self.world)
         for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
-            _whole(name, getattr(self, name), least)
+            if getattr(self, name) is not None:
+                _whole(name, getattr(self, name), least)
         threshold_m: Any = self.threshold_m
         if (
             isinstance(threshold_m, bool)
@@ -84,7 +87,15 @@ class Settings:
             raise ValueError(f"threshold_m {threshold_m!r} is not allowed; wanted a number above 0")
         if not isinstance(self.stop, str | None):
             raise ValueError(f"stop {self.stop!r} is not allowed; wanted {FORMS}")
-        chosen(float(threshold_m), self.stop)
+        try:
+            problem = names.named(self.problem)
+        except ValueError as error:
+            raise ValueError(f"problem: {error}") from None
+        if names.sensor_of(problem) != GAUSSIAN:
+            raise ValueError(
+                f"problem: sensor {names.sensor_text(problem)!r} is not allowed here; wanted gaussian"
+            )
+        _ = self.searched, self.criterion  # what is wrong with them is said now
 
     @classmethod
     def of(cls, given: Mapping[str, Any], *others: str) -> "Settings":
@@ -100,15 +111,21 @@ class Settings:
                 )
         return cls(**given)
 
-    @property
+    @cached_property
+    def searched(self) -> Problem:
+        """The problem, with the budget and the world that override its own."""
+        return names.with_arguments(self.problem, budget=self.budget, world=self.world)
+
+    @cached_property
     def criterion(self) -> Criterion:
         """When AGDC stops."""
-        return chosen(self.threshold_m, self.stop)
+        return chosen(float(self.threshold_m), self.stop, self.searched.stop)
 
     @property
     def move(self) -> Move:
         """The meaning of actions."""
-        return HeadingAndStep() if self.continuous else Headings(self.headings)
+        step_m = float(self.searched.step_m)
+        return HeadingAndStep(step_m) if self.continuous else Headings(self.headings, step_m)
 
     def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
         """Observation space and action space."""
@@ -120,7 +137,7 @@ class Settings:
     def begin(self, seeds: Sequence[int], threads: int = 1) -> Missions:
         """Return new missions of these seeds."""
         return Missions(
-            seeds, self.observation, self.particles, self.criterion, self.assume, threads, self.world
+            seeds, self.observation, self.particles, self.criterion, self.assume, threads, self.searched
         )
 
     def onlooker(self, render_mode: str | None) -> Onlooker | None:
@@ -130,7 +147,7 @@ class Settings:
         """
         if render_mode not in (None, *RENDERING["render_modes"]):
             raise ValueError(f"render_mode {render_mode!r} is not allowed; wanted None or 'rgb_array'")
-        return Onlooker(self.criterion.text, self.assume, self.budget) if render_mode else None
+        return Onlooker(self.criterion.text, self.assume, self.searched.budget) if render_mode else None
 
     def actions(self, given: Any, *count: int) -> NDArray[Any]:
         """Return `count` actions as an array, (B,) or (B, 2); without a count a single one, () or (2,).
@@ -168,10 +185,10 @@ class Settings:
 
         Returns rewards, terminated and truncated, (B,) each.
         """
-        missions.move(self.move.waypoints(missions.positions, missions.frames, actions, AREA_M))
+        missions.move(self.move.waypoints(missions.positions, missions.frames, actions, self.searched.area))
         step, stop = REWARDS[self.reward]
         terminated: Flags = missions.ceased.copy()
-        truncated: Flags = ~terminated & (missions.steps >= self.budget)
+        truncated: Flags = ~terminated & (missions.steps >= self.searched.budget)
         return np.where(terminated, step + stop, step), terminated, truncated
 
 
@@ -191,13 +208,13 @@ def _seed(value: Any) -> int:
     return _whole("seed", value, 0, MAX_SEED)
 
 
-def _refuse(options: Any) -> None:
-    """Raise ValueError on options of a reset: there are none."""
-    if options:
-        raise ValueError(
-            f"options {_short(options)} are not allowed; wanted none: the seed draws the start and all else "
-            "of a mission"
-        )
+def _searching(settings: Settings, options: Any) -> Settings:
+    """Return the settings with the problem of a reset's options. Raises ValueError on other options."""
+    if not options:
+        return settings
+    if not isinstance(options, Mapping) or options.keys() != {"problem"}:
+        raise ValueError(f"options {_short(options)} are not allowed; wanted none, or {{'problem': …}}")
+    return replace(settings, problem=options["problem"])
 
 
 def _begun(missions: Missions | None, call: str) -> Missions:
@@ -287,16 +304,17 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
 
     | argument | default | meaning |
     |---|---|---|
+    | `problem` | `"paper"` | what is searched: a `plumeward.Problem`, its fields, `"paper"` or a YAML file |
     | `continuous` | False | an action is a heading and a step |
     | `headings` | 16 | number of headings of discrete actions |
     | `observation` | `"polar"` | or `"paper"` |
     | `reward` | `"cost"` | or `"paper"` |
     | `particles` | 500 | particles of the filter |
     | `threshold_m` | 0.5 | ζ, m |
-    | `budget` | 300 | most steps |
-    | `world` | `"as-modelled"` | how gas moves and the truth differs: a name, as `--world` takes it |
+    | `budget` | None | most steps; None, also of the next one: the problem's |
+    | `world` | None | how gas moves and the truth differs: a name, as `--world` takes it |
     | `assume` | `"paper"` | or `"field"`: what the estimator takes to be known |
-    | `stop` | None | instead of `threshold_m`: `"within:1,0.99"` |
+    | `stop` | None | instead of `threshold_m`: `"within:1,0.99"`; without both the problem's |
 
     Example:
         ```python
@@ -315,17 +333,21 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         self.settings = Settings.of(settings, "render_mode")
         self.render_mode = render_mode
         self.onlooker = self.settings.onlooker(render_mode)
+        self.searching = self.settings  # with the problem of the last reset
         self.observation_space, self.action_space = self.settings.spaces()
         self.missions: Missions | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin a mission and take its first reading. Raises ValueError on a bad seed, and on options."""
-        _refuse(options)
+        """Begin a mission and take its first reading. Raises ValueError on a bad seed, and on bad options.
+
+        `options={"problem": …}` is another problem, until the next reset.
+        """
+        self.searching = _searching(self.settings, options)
         seed = None if seed is None else _seed(seed)
         super().reset(seed=seed)
-        self.missions = self.settings.begin(
+        self.missions = self.searching.begin(
             [int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed]
         )
         if self.onlooker:
@@ -338,7 +360,7 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         Raises ActionError on one outside the action space.
         """
         missions = _begun(self.missions, "step")
-        rewards, terminated, truncated = self.settings.fly(missions, self.settings.actions(action)[None])
+        rewards, terminated, truncated = self.searching.fly(missions, self.settings.actions(action)[None])
         if self.onlooker:
             self.onlooker.look(missions)
         return (
@@ -379,6 +401,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self.settings = Settings.of(settings, "num_envs", "threads", "render_mode")
         self.render_mode = render_mode
         self.onlooker = self.settings.onlooker(render_mode)
+        self.searching = self.settings  # with the problem of the last reset
         self.single_observation_space, self.single_action_space = self.settings.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -391,9 +414,10 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence.
 
-        Without a seed, the next ones are drawn. Raises like `SourceSearch.reset`.
+        Without a seed, the next ones are drawn. `options={"problem": …}` is the problem of all of them and of
+        those that follow, until the next reset. Raises like `SourceSearch.reset`.
         """
-        _refuse(options)
+        self.searching = _searching(self.settings, options)
         if seed is None and self._draws:
             seeds = [self._next(i) for i in range(self.num_envs)]
         else:
@@ -409,8 +433,9 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 raise ValueError(f"{len(seeds)} seeds for {self.num_envs} missions")
             self._draws = [np.random.default_rng(each) for each in seeds]
         if self.missions is None:
-            self.missions = self.settings.begin(seeds, self._threads)
+            self.missions = self.searching.begin(seeds, self._threads)
         else:
+            self.missions.problem = self.searching.searched
             self.missions.begin(np.arange(self.num_envs), seeds)
         if self.onlooker:
             self.onlooker.look(self.missions)
@@ -424,7 +449,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         On a wrong action raises ActionError and moves none.
         """
         missions = _begun(self.missions, "step")
-        rewards, terminated, truncated = self.settings.fly(
+        rewards, terminated, truncated = self.searching.fly(
             missions, self.settings.actions(actions, self.num_envs)
         )
         infos: dict[str, Any] = {}

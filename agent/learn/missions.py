@@ -11,8 +11,9 @@ from estimator.criterion import Criterion
 from estimator.filter import Config
 from plume.elementary import Array, Indices
 from plume.flight import TRY_AGAIN_S, profile
+from plume.problem import PAPER, Problem
 from plume.randomness import Keyed, derived_seed
-from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M, SURE_OUTSIDE, draw
+from plume.scenario import SUCCESS_RADIUS_M, SURE_OUTSIDE, draw
 from plume.worlds.world import World, readings_of
 from scene.scene import Measurement, Scatter
 
@@ -31,9 +32,9 @@ class Missions:
         criterion: Criterion,
         assume: str = "paper",
         threads: int = 1,
-        world: str = AS_MODELLED,
+        problem: Problem = PAPER,
     ) -> None:
-        """Begin the mission of each seed in the world of this name and take its first reading."""
+        """Begin the problem's mission of each seed and take its first reading."""
         count = len(seeds)
         self._schema = observation.SCHEMAS[schema]
         self._particles, self._criterion, self._assume = particles, criterion, assume
@@ -50,9 +51,9 @@ class Missions:
         self.facts = np.empty((count, len(observation.FACTS)))  # what is known of each mission
         self._sources = np.empty((2, count, 2))  # the second is the first where there is none
         self._noise = Keyed()
-        self._world = world
+        self.problem = problem
         # For judging and showing only.
-        self.worlds = [World(draw(seed), seed, name=world) for seed in self.seeds.tolist()]
+        self.worlds = [self._world(seed) for seed in self.seeds.tolist()]
         self._loses = any(world.errors.lost for world in self.worlds)
         self._batch = Batch([self._told(mission) for mission in range(count)], threads)
         self.estimates = self._batch.means[:, :2]  # (B, 2) m, which changes with the batch
@@ -62,9 +63,12 @@ class Missions:
         """Replace these missions by missions of other seeds."""
         self.seeds[missions] = seeds
         for mission, seed in zip(missions.tolist(), seeds, strict=True):
-            self.worlds[mission] = World(draw(seed), seed, name=self._world)
+            self.worlds[mission] = self._world(seed)
             self._batch.begin(mission, self._told(mission))
         self._read(missions)
+
+    def _world(self, seed: int) -> World:
+        return World(draw(seed, self.problem), seed, name=self.problem.world, problem=self.problem)
 
     def move(self, waypoints: Array) -> None:
         """Fly each mission to its waypoint and take a reading there.
@@ -133,8 +137,10 @@ class Missions:
             criterion.threshold_m,
             its_seed,
             *known,
+            self.problem.area,
             assume=self._assume,
             within=criterion.within,
+            expected=self.problem.prior,
         )
 
     def _read(self, missions: Indices) -> None:
@@ -169,7 +175,7 @@ class Missions:
         near = narrow | (self.outside[missions] >= SURE_OUTSIDE)
         for mission in missions[near | bool(self._criterion.within)].tolist():
             self.ceased[mission] = self._batch.has_ceased(mission)
-        totals = self._batch.weights.sum(axis=1)
+        totals, site = self._batch.weights.sum(axis=1), observation.site_of(self.problem)
 
         def see(portion: Indices) -> None:
             self._schema.see_missions(
@@ -177,6 +183,7 @@ class Missions:
                 self._batch.weights,
                 totals,
                 facts,
+                site,
                 portion,
                 self.frames,
                 self.observations,

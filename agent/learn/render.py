@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.learn.missions import Missions
+from plume.problem import Problem
 from scene.animation import FRAMES_PER_S
 from scene.scene import Backdrop, Craft, Ending, Measurement, Release, Scene, judged
 
@@ -63,7 +64,7 @@ class Onlooker:
         release = Release.of(world.truth)
         track = np.array([it.position for it in taken], np.float32)
         return Scene(
-            backdrop=Backdrop("uav/1", title=f"seed {world.seed}", release=release),
+            backdrop=Backdrop("uav/1", missions.problem.area, f"seed {world.seed}", release),
             time_s=last.time_s,
             craft=Craft(last.time_s, last.position, heading=_heading(track)),
             track=track,
@@ -72,15 +73,17 @@ class Onlooker:
             wind=world.wind,
             stop=self._stop,
             assume=self._assume,
-            ending=self._ending(last, float(missions.outside[i]), release),
+            ending=self._ending(last, float(missions.outside[i]), release, missions.problem),
         )
 
-    def _ending(self, last: Measurement, outside_share: float, release: Release) -> Ending | None:
+    def _ending(
+        self, last: Measurement, outside_share: float, release: Release, problem: Problem
+    ) -> Ending | None:
         if last.ceased:
-            return judged(last.step, last.estimate, last.spread_m, outside_share, release)
+            return judged(last.step, last.estimate, last.spread_m, outside_share, release, problem.area)
         return (
             Ending("not ceased", f"the budget of {last.step} steps is spent")
-            if last.step >= self._budget
+            if last.step >= problem.budget
             else None
         )
 

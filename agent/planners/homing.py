@@ -25,7 +25,7 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     The spread S is `entropy_spread`; `scores` has D(p).
     """
     moves = reach.moves(belief.position)
-    places = np.clip(belief.position + AHEAD * (moves - belief.position), 0.0, reach.area_m)
+    places = reach.area.clipped(belief.position + AHEAD * (moves - belief.position))
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
     gains = imagine(belief, hypotheses, places, reach.measurements, rng).gains
     spread = entropy_spread(hypotheses, belief.spread)

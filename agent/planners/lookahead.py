@@ -21,9 +21,7 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     """
     moves = reach.moves(belief.position)
     ahead = np.array(AHEAD)[:, None]
-    paths = np.clip(
-        belief.position + ahead * (moves - belief.position)[:, None], 0.0, reach.area_m
-    )  # (A, L, 2)
+    paths = reach.area.clipped(belief.position + ahead * (moves - belief.position)[:, None])  # (A, L, 2)
     flown = lengths(paths - belief.position)  # (A, L)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
     distances = hypotheses.mean(hypotheses.distances(paths))  # (A, L)

@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.planning.moves import Reach
 from link.bus.messages import Belief, Particles
+from plume.problem import AREA, Area
 
 # (belief, particles, reach, keyed random generator) -> index into `reach.moves(belief.position)`.
 Planner = Callable[[Belief, Particles, Reach, np.random.Generator], int]
@@ -29,9 +30,9 @@ PLANNERS = {
 }
 
 
-def reach(name: str, given: Mapping[str, float] = MappingProxyType({})) -> Reach:
+def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area: Area = AREA) -> Reach:
     """Return a planner's reach: the `given` fields, and the planner's own `REACH` or the defaults else."""
-    return replace(getattr(import_module(PLANNERS[name]), "REACH", Reach()), **given)
+    return replace(getattr(import_module(PLANNERS[name]), "REACH", Reach()), area=area, **given)
 
 
 def planner(name: str) -> Planner:

@@ -8,7 +8,8 @@ import numpy as np
 
 from link.bus.messages import Belief
 from plume.elementary import Array, direction
-from plume.scenario import AREA_M, STEP_M
+from plume.problem import AREA, Area
+from plume.scenario import STEP_M
 
 # The step of Table 1 as a part of its area's side, short enough for any search, and the shortest move.
 FINE, FINEST = 1 / 30, 1 / 300
@@ -21,7 +22,7 @@ class Reach:
     headings: int = 4  # number of headings, evenly spaced; the first is east
     step: float = STEP_M  # length of a move, m; `fitted` shortens it
     measurements: int = 25  # hypothetical readings for each move
-    area_m: float = AREA_M  # side of the search area, m
+    area: Area = AREA  # where it may fly
     fits: bool = False  # whether moves may be shorter than a step: `fitted`
 
     def fitted(self, belief: Belief) -> "Reach":
@@ -32,21 +33,20 @@ class Reach:
         or it hops to and fro across the source. It is never below the FINEST part, or it would stay where it
         is. If the place is known, moves are as long as they were.
         """
-        shortest, fine = self.area_m * FINEST, self.area_m * FINE
+        shortest, fine = self.area.side_m * FINEST, self.area.side_m * FINE
         longest = max(belief.spread / 4, min(max(4 * belief.spread, shortest), fine))
         is_long = self.fits and belief.spread > 0 and longest < self.step
         return replace(self, step=longest) if is_long else self
 
     @cached_property
-    def edge(self) -> float:
-        """The greatest float32 coordinate inside the area, m; the wire carries float32."""
-        edge = np.float32(self.area_m)
-        return float(edge if float(edge) <= self.area_m else np.nextafter(edge, np.float32(0)))
+    def wire(self) -> Area:
+        """The part of the area that waypoints may lie in: the wire carries float32."""
+        return self.area.on_the_wire()
 
     def moves(self, position: tuple[float, float]) -> Array:
         """Return the waypoints (A, 2) m that one step reaches in the area; float32 values, as on the wire."""
         places = (np.asarray(position) + self.step * self.directions).astype(np.float32).astype(np.float64)
-        return places[((places >= 0) & (places <= self.area_m)).all(axis=1)]
+        return np.asarray(places[self.area.held(places)])
 
     @cached_property
     def directions(self) -> Array:
@@ -72,9 +72,9 @@ class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", fo
         """Return the action with the highest score (B,), given the network's output `said` (B, count)."""
         return np.asarray(said.argmax(axis=1))
 
-    def waypoints(self, positions: Array, frames: Array, actions: Array, area_m: float) -> Array:
+    def waypoints(self, positions: Array, frames: Array, actions: Array, area: Area) -> Array:
         """Return the waypoints (B, 2) m of actions (B,) from positions (B, 2) m. frames: (B, 3)."""
-        return _moved(positions, frames, actions / self.count, np.full(len(actions), self.step_m), area_m)
+        return _moved(positions, frames, actions / self.count, np.full(len(actions), self.step_m), area)
 
 
 class HeadingAndStep(
@@ -96,24 +96,22 @@ class HeadingAndStep(
         """Return the network's output `said` (B, 2): it is the action."""
         return said
 
-    def waypoints(self, positions: Array, frames: Array, actions: Array, area_m: float) -> Array:
+    def waypoints(self, positions: Array, frames: Array, actions: Array, area: Area) -> Array:
         """Return the waypoints (B, 2) m of actions (B, 2), clipped to [−1, 1], from positions (B, 2) m.
 
         frames: (B, 3).
         """
         heading, share = np.clip(np.asarray(actions, np.float64).T, -1.0, 1.0)
-        return _moved(positions, frames, heading / 2, self.step_m * (share + 1) / 2, area_m)
+        return _moved(positions, frames, heading / 2, self.step_m * (share + 1) / 2, area)
 
 
 Move = Headings | HeadingAndStep
 
 
-def _moved(positions: Array, frames: Array, turns: Array, lengths: Array, area_m: float) -> Array:
+def _moved(positions: Array, frames: Array, turns: Array, lengths: Array, area: Area) -> Array:
     """Return the waypoints (B, 2) of moves at angles in turns, clipped to the area; float32 values."""
     from agent.planning.kernels import displacements  # compiled: naming a policy does not need it
 
     return (
-        np.clip(positions + displacements(frames, turns, lengths), 0.0, area_m)
-        .astype(np.float32)
-        .astype(np.float64)
+        area.clipped(positions + displacements(frames, turns, lengths)).astype(np.float32).astype(np.float64)
     )

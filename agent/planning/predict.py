@@ -13,8 +13,8 @@ from plume.intermittency import SMALLEST_CV
 from plume.numerics import exp_each, log_each
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import standard_gamma
-from plume.response import settled_readings
 from plume.sensors.names import Sensor, parse, sensor_row
+from plume.sensors.response import settled_readings
 from plume.sensors.sensor import Gaussian
 
 CELLS_A_SPREAD = 4  # cells per spread in `entropy_spread`

@@ -22,12 +22,14 @@ import msgspec
 from agent.policies import add_policy_argument, bundle_path, reach
 from agent.trials.figures import COLUMNS, MissionRow, cell, figures
 from agent.trials.workers import WorkerLost
-from estimator.options import add_sensor_argument
+from estimator.options import add_sensor_argument, criteria, knowledge
 from link import cli
 from link.files import whole
 from link.terminal import Column, table, tell, width_of
+from plume.problems.names import PROBLEMS
+from plume.problems.options import add_problem_argument, problem_of
 from plume.randomness import MAX_SEED
-from plume.scenario import AS_MODELLED, BUDGET_STEPS
+from plume.scenario import AS_MODELLED
 from plume.worlds.names import ABOUT, OURS, check, kinds, separate
 
 FIRST_TEST_SEED = 1_000_000
@@ -76,9 +78,8 @@ def add_world_argument(parser: argparse.ArgumentParser, *, several: bool = False
     argument = parser.add_argument(
         "--world",
         type=cli.listed(world, separate) if several else world,
-        default=[AS_MODELLED] if several else AS_MODELLED,
         metavar="NAME,NAME" if several else "NAME",
-        help=f"{ABOUT} (default: {AS_MODELLED})",
+        help=f"{ABOUT} (default: the problem's, {AS_MODELLED})",
     )
     cli.completed(argument, kinds)
 
@@ -100,7 +101,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seed of the first mission; the others follow (default: %(default)s)",
     )
-    cli.add_reach_arguments(parser, BUDGET_STEPS)
+    cli.add_reach_arguments(parser)
+    cli.completed(add_problem_argument(parser), lambda: PROBLEMS, "yaml", "yml")
     cli.add_filter_arguments(parser, several=True)
     add_sensor_argument(parser)
     add_world_argument(parser, several=True)
@@ -133,11 +135,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def choose_problem(args: argparse.Namespace) -> None:
+    """Set problem, knowledge, stops and worlds, from the problem and the flags that override it.
+
+    Raises ValueError with what is allowed.
+    """
+    problem = args.problem = problem_of(args)
+    args.knowledge, args.stops = knowledge(args, problem), criteria(args, problem)
+    args.worlds = args.world or [problem.world]
+    for world in args.worlds if isinstance(args.worlds, list) else [args.worlds]:
+        check(world, problem)
+
+
 def run(args: argparse.Namespace) -> int:
     """Fly the missions and print their figures; returns the exit status. Raises BadInput."""
     try:
         for name in args.policy:
-            reach(name, cli.reach_given(args))
+            reach(name, cli.reach_given(args), args.problem)
     except ValueError as error:
         raise cli.BadInput(str(error)) from error
     if args.missions and (
@@ -164,10 +178,11 @@ def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
         range(args.first_seed, args.first_seed + args.scenarios),
         args.particles,
         args.stops,
-        args.budget,
+        None,
         cli.reach_given(args),
         args.knowledge,
-        worlds=args.world,
+        worlds=args.worlds,
+        problem=args.problem,
     )
     journal = journal_of(sweep, KEPT_IN)
     workers = f"{args.workers} worker{'s' * (args.workers > 1)}"

@@ -75,6 +75,8 @@ class MissionRow(msgspec.Struct, frozen=True):
     warned: bool = False
     margin_m: float = 0.0  # how far beyond the area's edges the source could be
     outside: bool = False  # the stop said that the source is outside the area, and that is not false
+    # The problem, without what has a column of its own, in the form of --problem.
+    problem: str = "paper"
 
     @property
     def false_stop(self) -> bool:

@@ -15,16 +15,17 @@ from link.bus.messages import Belief, Particles
 from plume.flight import TRY_AGAIN_S, leg_s
 from plume.geodesy import HOME
 from plume.outcome import LastWord, Outcome, TracePoint, interval, outcome
+from plume.problem import PAPER, Problem
+from plume.problems.names import sensor_of, with_arguments
 from plume.randomness import derived_seed
-from plume.scenario import AS_MODELLED, BUDGET_STEPS, Scenario, draw
+from plume.scenario import Scenario, draw
 from plume.worlds.exposure import Before
 from plume.worlds.world import World
 
-ALTITUDE_M = 5.0
 OWN_MOVES: Mapping[str, float] = MappingProxyType({})  # the planner's own moves
 # Fields of `Config` that may be given for a mission; the others have arguments of their own, or come from the
 # scenario.
-FURTHER = ("area_m", "margin_m", "priors", "sensor", "stop_on_location", "stop_limits")
+FURTHER = ("margin_m", "priors", "sensor", "stop_on_location", "stop_limits")
 
 
 class Step(NamedTuple):
@@ -51,23 +52,35 @@ def mission(
     policy: str,
     particles: int,
     threshold_m: float,
-    budget: int,
+    budget: int | None = None,
     moves: Mapping[str, float] = OWN_MOVES,
-    world: str = AS_MODELLED,
+    world: str | None = None,
     ends: bool = True,
+    problem: Problem = PAPER,
     **knowledge: Any,
 ) -> Mission:
     """Prepare the mission of a seed with a policy, by default with the paper's assumption.
 
-    `moves`: fields of `Reach`. `ends`: whether the stop ends it. `knowledge`: other fields of `Config`,
+    `moves`: fields of `Reach`. `ends`: whether the stop ends it. `budget` and `world`: the problem's if None.
+    `knowledge`: other fields of `Config`,
     like the sensor.
     """
-    told = draw(seed)
+    problem = with_arguments(problem, budget=budget, world=world)
+    told = draw(seed, problem)
     config = Config(
-        particles, threshold_m, derived_seed(seed, "estimator"), told.q, told.d, told.tau, **knowledge
+        particles,
+        threshold_m,
+        derived_seed(seed, "estimator"),
+        told.q,
+        told.d,
+        told.tau,
+        problem.area,
+        expected=problem.prior,
+        **{"sensor": sensor_of(problem), **knowledge},
     )
-    there = World(told, seed, config.sensor, world)
-    steps = _steps(there, config, policy, derived_seed(seed, "agent"), budget, reach(policy, moves), ends)
+    there = World(told, seed, config.sensor, problem.world, problem)
+    within = reach(policy, moves, problem)
+    steps = _steps(there, config, policy, derived_seed(seed, "agent"), within, ends)
     return Mission(there.truth, config, steps)
 
 
@@ -85,8 +98,9 @@ def check(assume: str, knowledge: Mapping[str, Any]) -> None:
 
 
 def _steps(
-    world: World, config: Config, policy: str, agent_seed: int, budget: int, within: Reach, ends: bool
+    world: World, config: Config, policy: str, agent_seed: int, within: Reach, ends: bool
 ) -> Iterator[Step]:
+    budget, altitude_m = world.problem.budget, world.problem.altitude_m
     posterior, position, decision_s = prior(config), world.start, 0.0
     time_s, place, before = 0.0, world.start, None
     for step in range(budget + 1):
@@ -96,7 +110,7 @@ def _steps(
         place = position
         gas, wind = world.measure(position, step, time_s, before)
         before = Before(position, time_s, gas)
-        reading = Reading(step, position, ALTITUDE_M, wind, gas)
+        reading = Reading(step, position, altitude_m, wind, gas)
         began = time.process_time()
         posterior = assimilate(posterior, reading, config)
         summary, cloud = belief(posterior, reading, config)
@@ -113,10 +127,11 @@ def rollout(
     policy: str = DEFAULT,
     particles: int = 1000,
     threshold_m: float = USUAL_THRESHOLD_M,
-    budget: int = BUDGET_STEPS,
+    budget: int | None = None,
     moves: Mapping[str, float] = OWN_MOVES,
     *,
-    world: str = AS_MODELLED,
+    problem: Problem | str = PAPER,
+    world: str | None = None,
     assume: str = "field",
     stop: str | None = None,
     **knowledge: Any,
@@ -128,25 +143,27 @@ def rollout(
         policy: A name of `plumeward.policies()`, or the path of a bundle.
         particles: Particles of the filter.
         threshold_m: The search stops when the spread of the belief is below it, m.
-        budget: Moves after which the mission is given up.
+        budget: Moves after which the mission is given up; None: the problem's.
         moves: Of a planner: `headings`, `step` (m) and `measurements`, where its own are not wanted.
+        problem: What is searched: a `plumeward.Problem`, `"paper"`, or the path of a YAML file. The other
+            arguments override its fields.
         world: How the gas moves, and how the truth differs from what the estimator is told: a name that
-            `plumeward list worlds` shows, or several: `"puffs:share=0.2+wind-30"`.
+            `plumeward list worlds` shows, or several: `"puffs:share=0.2+wind-30"`; None: the problem's.
         assume: What the estimator takes to be known: `field` or `paper`, where all but the position is
             known.
         stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
             when at least 99% of the belief is
             within 1 m of the estimate.
         knowledge: Further fields of `plumeward.Config`: `sensor`, `priors`, `stop_limits`,
-            `stop_on_location`, `area_m` and `margin_m`.
+            `stop_on_location` and `margin_m`.
 
     Returns:
         The outcome, and a trace of one point for each reading, the first of them before any move. Lengths
         are in metres.
 
     Raises:
-        ValueError: The policy or the world is not known, or cannot be flown so; or the assumption or the
-            criterion is not allowed.
+        ValueError: The policy, the problem or the world is not known, or cannot be flown so; or the
+            assumption or the criterion is not allowed.
         TypeError: There is no such argument, or the sensor or a prior is something else, such as its text.
 
     Example:
@@ -155,10 +172,13 @@ def rollout(
         print(outcome.located, outcome.error_m, len(trace))
         ```
     """
-    criterion = chosen(threshold_m, stop)
+    searched = with_arguments(problem, budget=budget, world=world)
+    criterion = chosen(threshold_m, stop, searched.stop)
     check(assume, knowledge)
     knowledge |= {"assume": assume, "within": criterion.within}
-    flown = mission(seed, policy, particles, criterion.threshold_m, budget, moves, world=world, **knowledge)
+    flown = mission(
+        seed, policy, particles, criterion.threshold_m, moves=moves, problem=searched, **knowledge
+    )
     trace: list[TracePoint] = []
     search_time_s = 0.0
     for step in flown.steps:
@@ -174,9 +194,9 @@ def rollout(
         search_time_s,
         said.assume,
         said.stop,
-        world,
+        searched.world,
         said.outside,
-        flown.config.area_m,
+        searched.area,
         said.intermittency,
         said.advised_dwell,
         LastWord(said.covariance, said.rate, interval("q", said.unknowns, step.particles)),

@@ -30,7 +30,9 @@ from estimator.priors import text as prior_text
 from link.bus.messages import Belief
 from plume import __version__
 from plume.outcome import verdict
-from plume.scenario import AS_MODELLED, BUDGET_STEPS, STEP_M
+from plume.problem import AREA, PAPER, Problem
+from plume.problems.names import sensor_of
+from plume.scenario import AS_MODELLED, STEP_M
 from plume.sensors.names import GAUSSIAN, text
 
 PACKAGES = ("plume", "link", "scene", "estimator", "agent")
@@ -44,10 +46,11 @@ class Sweep:
     seeds: range
     particles: Sequence[int] = (1000,)
     stops: Sequence[Criterion] = (Criterion(),)  # each once. One flight serves all of them.
-    budget: int = BUDGET_STEPS
+    budget: int | None = None  # None: the problem's
     moves: dict[str, float] = field(default_factory=dict)  # fields of `Reach` that replace the planner's own
     knowledge: dict[str, Any] = field(default_factory=dict)  # other fields of `Config`
     worlds: Sequence[str] = (AS_MODELLED,)
+    problem: Problem = PAPER  # `worlds` and `stops` stand for its world and stop
 
     @property
     def flights(self) -> Iterator["Flight"]:
@@ -95,8 +98,9 @@ def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
             first.threshold_m,
             sweep.budget,
             sweep.moves,
-            world=world,
+            world,
             ends=False,
+            problem=sweep.problem,
             within=first.within,
             **sweep.knowledge,
         )
@@ -113,7 +117,8 @@ def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
 def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
     """The information floor of a mission at each ζ, m, where docs/floor.md defines it."""
     config = ready.config
-    as_defined = config.sensor == GAUSSIAN and sweep.moves.get("step", STEP_M) == STEP_M
+    as_defined = config.sensor == GAUSSIAN and sweep.moves.get("step", sweep.problem.step_m) == STEP_M
+    as_defined &= sweep.problem.area == AREA and not sweep.problem.prior
     if not as_defined or config.effective_priors or config.stop_limits:
         return {}
     thresholds_m = [stop.threshold_m for stop in sweep.stops if not stop.within]
@@ -182,7 +187,7 @@ def row_of(
     """Return the row of a mission that has been flown."""
     policy, particles, seed, world = flight
     error_m = math.dist(last.mean, source)
-    ended = verdict(ceased, last.mean, source, last.outside, config.area_m)
+    ended = verdict(ceased, last.mean, source, last.outside, config.area)
     return MissionRow(
         policy=policy,
         particles=particles,
@@ -214,10 +219,11 @@ def row_of(
 
 def settings(sweep: Sweep, policy: str, config: Config) -> dict[str, Any]:
     """Return the columns that are equal in all rows of a policy, in the form of the flags."""
-    moves, learned = reach(policy, sweep.moves), bundle_path(policy) is not None
+    moves, learned = reach(policy, sweep.moves, sweep.problem), bundle_path(policy) is not None
     limits = [f"{name}={limit!r}" for name, limit in config.stop_limits.items()]
     return {
-        "budget": sweep.budget,
+        "budget": sweep.budget or sweep.problem.budget,
+        "problem": sweep.problem.site.text,
         "headings": None if learned else moves.headings,
         "step_m": moves.step,
         "measurements": None if learned else moves.measurements,
@@ -260,7 +266,11 @@ def fly_all(
 
 def complete(sweep: Sweep, rows: Iterable[MissionRow]) -> dict[Flight, list[MissionRow]]:
     """Return the flights of a sweep that rows tell in full: flown in its way, with all its criteria."""
-    config, wanted = Config(**sweep.knowledge), [stop.text for stop in sweep.stops]
+    searched: dict[str, Any] = {"area": sweep.problem.area, "expected": sweep.problem.prior}
+    config, wanted = (
+        Config(**searched, **{"sensor": sensor_of(sweep.problem), **sweep.knowledge}),
+        [stop.text for stop in sweep.stops],
+    )
     ways = {policy: settings(sweep, policy, config).items() for policy in sweep.policies}
     said: dict[Flight, dict[str, MissionRow]] = {}
     for row in rows:
@@ -319,6 +329,7 @@ def journal_of(sweep: Sweep, folder: Path) -> Path:
         bundles,
         sweep.stops,
         sweep.budget,
+        sweep.problem,
         sorted(sweep.moves.items()),
         sorted(sweep.knowledge.items()),
     )

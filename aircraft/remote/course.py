@@ -73,7 +73,11 @@ class Course:
         if outside := self._config.outside(wanted):
             return denied(f"Waypoint refused: {outside[1]}", outside[0])
         inset_m = RADIUS_M + INSIDE_M
-        north, east = (min(max(along_m, inset_m), self._config.area_m - inset_m) for along_m in wanted[:2])
+        area = self._config.area
+        east, north = (
+            min(max(along_m, low + inset_m), high - inset_m)
+            for low, along_m, high in zip(area.low, (wanted[1], wanted[0]), area.high, strict=True)
+        )
         down = -self._config.takeoff_altitude_m if answers else wanted[2]
         if answers or (north, east, down) != self.waypoint:
             self.waypoint = as_float32((north, east, down))

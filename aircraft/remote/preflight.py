@@ -12,6 +12,7 @@ from aircraft.remote.commander import Steps
 from aircraft.remote.procedures import ENDED, Procedures
 from aircraft.remote.safety import ASKED, Check, Verdict, checks
 from aircraft.state import LOW_BATTERY, AircraftConfig, VehicleFailed
+from plume.problem import Area
 
 READY_S = 3.0  # the battery, and whether it would arm, are waited for this long once its place is known
 REFUSED_S = 10.0  # a refusal to arm comes with warnings, which are told for this long
@@ -19,6 +20,19 @@ SYS_STATUS = mavlink.MAVLINK_MSG_ID_SYS_STATUS
 UNANSWERED = "the payload has not answered yet whether it measures the wind"
 STILL_READING = "its parameters are being read"
 WAITING = "Waiting for the autopilot: "
+
+
+def farthest_m(area: Area) -> float:
+    """Return how far from home a vehicle flies in an area."""
+    return max(math.hypot(x, y) for x in (area.low[0], area.high[0]) for y in (area.low[1], area.high[1]))
+
+
+def lies(area: Area) -> str:
+    """Say where an area lies."""
+    width_m, height_m = area.size_m
+    if area.low == (0.0, 0.0):
+        return f"of {width_m:g} m x {height_m:g} m lies north and east"
+    return f"{area.text} lies so far east and north"
 
 
 class Preflight:
@@ -128,12 +142,12 @@ class Preflight:
         known, config, system = self._known, self._config, self._flight.commander.system
         if not system:
             return [Check("vehicle", Verdict.FORBIDS, self.missing)]
-        side, found = f"{config.area_m:g}", f"{known.firmware.name}, system {system}, in {known.mode_name}"
+        found = f"{known.firmware.name}, system {system}, in {known.mode_name}"
         place = Check("position and home", Verdict.FORBIDS, known.unplaced(self._flight.now_s))
         if known.home and not place.text:
             (north, east, _), (lat, lon, _) = known.to_home(), known.home
             where = (
-                f"the area of {side} m x {side} m lies north and east of home, {lat:.7f}, {lon:.7f}; "
+                f"the area {lies(config.area)} of home, {lat:.7f}, {lon:.7f}; "
                 f"home is ({north:.2f}, {east:.2f}) m north, east of the EKF's origin"
             )
             place = Check("position and home", Verdict.OK, where)
@@ -142,7 +156,7 @@ class Preflight:
             lines += [Check(about, Verdict.FORBIDS, why)] * bool(why)
         lines.append(self._wind or Check("wind", Verdict.FORBIDS, UNANSWERED))
         return lines + checks(
-            known.firmware, known.parameters, system, config.area_m, config.takeoff_altitude_m
+            known.firmware, known.parameters, system, farthest_m(config.area), config.takeoff_altitude_m
         )
 
     @property

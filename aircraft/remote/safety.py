@@ -92,16 +92,16 @@ class Check(NamedTuple):
 
 
 def checks(
-    firmware: Firmware, parameters: Mapping[str, float], system: int, side_m: float, height_m: float
+    firmware: Firmware, parameters: Mapping[str, float], system: int, farthest_m: float, height_m: float
 ) -> list[Check]:
-    """Return what the parameters say of a flight over an area of this side, at this height.
+    """Return what the parameters say of a flight up to so far from home, at this height.
 
     system: the companion's.
     """
     lost = (
         [_if_killed_arducopter(parameters, system)] if firmware.is_ardupilot else _if_killed_px4(parameters)
     )
-    return [*lost, _low_battery(firmware, parameters), *_fence(firmware, parameters, side_m, height_m)]
+    return [*lost, _low_battery(firmware, parameters), *_fence(firmware, parameters, farthest_m, height_m)]
 
 
 def _if_killed_arducopter(parameters: Mapping[str, float], system: int) -> Check:
@@ -155,7 +155,7 @@ def _low_battery(firmware: Firmware, parameters: Mapping[str, float]) -> Check:
 
 
 def _fence(
-    firmware: Firmware, parameters: Mapping[str, float], side_m: float, height_m: float
+    firmware: Firmware, parameters: Mapping[str, float], farthest_m: float, height_m: float
 ) -> list[Check]:
     """Return a line if there is a fence around home; a polygon is not read."""
     if firmware.is_ardupilot:
@@ -168,7 +168,7 @@ def _fence(
     else:
         names = ["GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"] if parameters.get("GF_ACTION") else []
     limits = {name: limit for name in names if (limit := parameters.get(name, 0.0)) > 0.0}
-    needs = dict.fromkeys(("FENCE_RADIUS", "GF_MAX_HOR_DIST"), math.hypot(side_m, side_m))
+    needs = dict.fromkeys(("FENCE_RADIUS", "GF_MAX_HOR_DIST"), farthest_m)
     tight = [name for name, limit in limits.items() if limit < needs.get(name, height_m)]
     text = ", ".join(
         f"{name} is {limit:g} m" + f", the search needs {needs.get(name, height_m):.0f} m" * (name in tight)

@@ -18,7 +18,7 @@ from aircraft.state import ACCEPTED, Ned, Result, denied, not_now
 from link.bus.mavlink import WRAP_MS, Message, elapsed_ms
 from link.bus.messages import Stop
 from link.modes import Mode
-from plume.outcome import beyond, outside_text
+from plume.outcome import outside_text
 from plume.scenario import SURE_OUTSIDE
 
 # What the vehicle does once the search is over: return home and land, land on the spot, or hold until told
@@ -231,7 +231,7 @@ class Search:
         (x, y), mode = stop.estimate, AFTER_STOP[self._after_stop]
         said = f"found at ({x:.2f}, {y:.2f}) m, spread {stop.spread:.2f} m"
         if stop.outside >= SURE_OUTSIDE:
-            said = f"is {outside_text(stop.outside, beyond(stop.estimate, self.vehicle.config.area_m))}"
+            said = f"is {outside_text(stop.outside, self.vehicle.config.area.beyond(stop.estimate))}"
         self._say(mavlink.MAV_SEVERITY_NOTICE, f"Source {said}")
         if caveat := self.vehicle.caveat:
             self._say(mavlink.MAV_SEVERITY_WARNING, f"The source may be elsewhere: {caveat}")

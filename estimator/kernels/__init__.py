@@ -1,4 +1,6 @@
-"""The filter's fused loops, compiled and cached. Imports: plume.
+"""The filter's fused loops, compiled and cached.
+
+Imports: plume, plume.sensors.
 
 Plain IEEE arithmetic in a fixed order, exp and log included: no fastmath, no threads, no libm except for
 angles and rare sensors. A mission is therefore bit-identical alone or in a batch, on any number of

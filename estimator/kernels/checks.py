@@ -14,7 +14,7 @@ from plume.intermittency import BODY, TAIL, distribution
 from plume.kernels import NOISES, is_intermittent
 from plume.numerics import HALF_LOG_2PI, dot, exp, log, log1p, log_gamma, total_of
 from plume.parameters import DECAY, DWELL, GAUSSIAN_KIND, HITS_KIND, RISE, SATURATION, THRESHOLD_KIND
-from plume.response import lags
+from plume.sensors.response import lags
 
 # Approximate number of particles, evenly spaced, for the predictive rank of a reading; fewer in intermittent
 # gas, where each takes long.

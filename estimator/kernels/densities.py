@@ -42,7 +42,7 @@ from plume.parameters import (
     Q,
     Z,
 )
-from plume.response import LEG_SHARES, follow, gas_means, is_direct, kept_of, lags, settle
+from plume.sensors.response import LEG_SHARES, follow, gas_means, is_direct, kept_of, lags, settle
 
 LOG_BEYOND = float(elementary.log(BEYOND))
 FUSED = 8  # readings whose densities are added together: products of 8 variances neither overflow nor vanish

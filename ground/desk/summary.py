@@ -23,8 +23,9 @@ from link.record.decoded import decode, decode_reading
 from link.record.reader import LogFile, RecordError, is_record
 from link.record.record import FRAME_KEYS, Entry
 from link.terminal import Column, printable, table, tell, width_of
-from plume.outcome import assumed_text, beyond, gas_lines, outcome, outcome_text, outside_text, verdict
+from plume.outcome import assumed_text, gas_lines, outcome, outcome_text, outside_text, verdict
 from plume.scenario import AS_MODELLED, Scenario
+from scene.follow.described import problem_of
 
 SHORTEST_KEY = 12  # characters of a key that a narrow terminal shows at least
 
@@ -160,7 +161,7 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         none = "no belief: there was no search"
         return {"ceased": None}, [unread if "belief" in survey.published_s else none]
     estimate = f"estimate ({last.mean[0]:.2f}, {last.mean[1]:.2f}) ± {last.spread:.2f} m"
-    world = _object(about, "mission").get("world")
+    area, world = problem_of(about).area, _object(about, "mission").get("world")
     world = world if isinstance(world, str) else AS_MODELLED  # records of other versions may lack it
     plain = {
         "ceased": last.ceased,
@@ -177,9 +178,9 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
     try:
         scenario = msgspec.convert(about["scenario"], Scenario)
     except (KeyError, msgspec.ValidationError):
-        ended = verdict(last.ceased, last.mean, None, last.outside)
+        ended = verdict(last.ceased, last.mean, None, last.outside, area)
         if ended == "outside":
-            ended = f"{outside_text(last.outside, beyond(last.mean))},"
+            ended = f"{outside_text(last.outside, area.beyond(last.mean))},"
         lines = [f"{ended} after {last.step} steps", estimate]
         gas = gas_lines(last.intermittency, last.advised_dwell)
         return plain, [*lines, assumed_text(last.assume, last.stop, world), *gas]
@@ -196,6 +197,7 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         last.stop,
         world,
         last.outside,
+        area,
         intermittency=last.intermittency,
         advised_dwell_s=last.advised_dwell,
     )

@@ -5,11 +5,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from link.bus.messages import Belief
-from plume.scenario import AREA_M
+from plume.problem import Problem
 from plume.sensors import names
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import Sensor, fluctuates
 from plume.sensors.sensor import Gaussian, Hits, Threshold
+from scene.follow.described import problem_of
 
 # The priors of `field`, as `estimator/assumptions.py` has them; a test holds them equal. The medians of q and
 # tau are what is told.
@@ -95,10 +96,9 @@ class Told(NamedTuple):
     priors: list[PriorRow]
     margin_m: float
     spikes: float  # share of the readings that say nothing of the source
-    words: Mapping[str, str]  # the estimator's flags, by name; empty if the record has none
 
 
-def told_of(last: Belief, about: Mapping[str, Any]) -> Told:
+def told_of(last: Belief, about: dict[str, Any]) -> Told:
     """Return what the last belief and the run's own description say of it."""
     try:
         sensor = names.parse(last.sensor)
@@ -108,18 +108,19 @@ def told_of(last: Belief, about: Mapping[str, Any]) -> Told:
     words = parts.get("estimator") if isinstance(parts, dict) else None
     flags = _flags(words if isinstance(words, list) else [])
     single = {name: values[-1] for name, values in flags.items()}
-    margin = _number(single.get("margin"))
+    problem = problem_of(about)
+    margin = 0.0 if problem.prior else _number(single.get("margin"))
     if margin is None:
-        margin = MARGIN.get(last.assume, 0.0) * AREA_M
+        margin = MARGIN.get(last.assume, 0.0) * problem.area.side_m
     given = dict(text.partition("=")[::2] for text in flags.get("prior", ()))
     rate = single.get("rate", "what is told") if "q" in last.unknowns else repr(last.rate)
     lifetime = single.get("lifetime", "what is told") if "tau" in last.unknowns else repr(last.lifetime)
     rows = [
-        _row(name, *given_or_usual, last)
+        _row(name, *given_or_usual, last, problem)
         for name in WORDS
         if (given_or_usual := _prior(name, given, last, sensor, rate, lifetime))
     ]
-    return Told(sensor, rows, margin, SPIKES.get(last.assume, 0.0), single)
+    return Told(sensor, rows, margin, SPIKES.get(last.assume, 0.0))
 
 
 def field_priors(sensor: Sensor, rate: float, lifetime: float) -> dict[str, str]:
@@ -150,8 +151,10 @@ def _prior(
     return None
 
 
-def _row(name: str, text: str, given: bool, last: Belief) -> PriorRow:
+def _row(name: str, text: str, given: bool, last: Belief, problem: Problem) -> PriorRow:
     meaning, unit = WORDS[name]
+    if text == "area" and problem.prior:
+        return PriorRow(name, meaning, unit, "", f"anywhere in {problem.prior.text}", given)
     if text == "area":
         beyond = "" if last.assume == "paper" else ", and a fifth as likely beyond its edges"
         return PriorRow(name, meaning, unit, "", f"anywhere in the area{beyond}", given)

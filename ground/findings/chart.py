@@ -87,22 +87,21 @@ def rates_map(it: Findings) -> str:
     """Return the map of the smallest rates that would have been seen; empty if there are none."""
     if it.smallest is None:
         return ""
-    side = it.area_m
-    view = View(-0.04 * side, -0.04 * side, 1.04 * side, 1.04 * side)
+    (west, south), (east, north) = it.area.low, it.area.high
+    pad = 0.04 * max(it.area.size_m)
+    view = View(west - pad, south - pad, east + pad, north + pad)
     seen = it.smallest.seen
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (1.0, 10.0)
-    centres = it.smallest.centres_m.tolist()
-    size = (centres[1] - centres[0]) * view.scale
+    width, height = (length * view.scale for length in it.smallest.cell_m)
     cells = []
-    for row, y in zip(it.smallest.rates_gs.tolist(), centres, strict=True):
-        for rate, x in zip(row, centres, strict=True):
-            colour = _colour(RATES, _log_share(rate, low, high)) if math.isfinite(rate) else NEVER
-            told = f"{significant(rate, 2)} g/s" if math.isfinite(rate) else "at no rate"
-            cells.append(
-                f'<rect x="{view.x(x) - size / 2:.1f}" y="{view.y(y) - size / 2:.1f}" '
-                f'width="{size + 0.3:.1f}" height="{size + 0.3:.1f}" fill="{colour}">'
-                f"<title>{told}</title></rect>"
-            )
+    for (x, y), rate in it.smallest.cells():
+        colour = _colour(RATES, _log_share(rate, low, high)) if math.isfinite(rate) else NEVER
+        told = f"{significant(rate, 2)} g/s" if math.isfinite(rate) else "at no rate"
+        cells.append(
+            f'<rect x="{view.x(x) - width / 2:.1f}" y="{view.y(y) - height / 2:.1f}" '
+            f'width="{width + 0.3:.1f}" height="{height + 0.3:.1f}" fill="{colour}">'
+            f"<title>{told}</title></rect>"
+        )
     parts = [*cells, *_grid(view), _area(view, it), _track(view, it)]
     legend = _legend(view, RATES, low, high, "rate, g/s", _log_share)
     return _drawing(view, "Map of the smallest rates", parts, [*legend, *_compass(view, it)])
@@ -110,16 +109,16 @@ def rates_map(it: Findings) -> str:
 
 def _view(it: Findings) -> View:
     """Return a view of the area, and of what was flown and found about it."""
-    side = it.area_m
+    low, high = np.array(it.area.low), np.array(it.area.high)
     places = [
-        np.array([[0.0, 0.0], [side, side]]),
+        np.stack([low, high]),
         np.array([sample.place for sample in it.flight.samples]),
         it.flight.track,
         it.ellipse.outline,
     ]
-    reach = FURTHEST * side
+    reach = FURTHEST * max(it.area.size_m)
     every = np.concatenate(places)
-    every = np.clip(every[np.isfinite(every).all(axis=1)], -reach, side + reach)
+    every = np.clip(every[np.isfinite(every).all(axis=1)], low - reach, high + reach)
     (west, south), (east, north) = every.min(axis=0).tolist(), every.max(axis=0).tolist()
     pad = 0.04 * max(east - west, north - south)
     return View(west - pad, south - pad, east + pad, north + pad)
@@ -232,9 +231,10 @@ def _compass(view: View, it: Findings) -> list[str]:
 
 
 def _area(view: View, it: Findings) -> str:
-    side = it.area_m * view.scale
+    width, height = (length * view.scale for length in it.area.size_m)
+    left, top = view.x(it.area.low[0]), view.y(it.area.high[1])
     return (
-        f'<rect x="{view.x(0):.1f}" y="{view.y(it.area_m):.1f}" width="{side:.1f}" height="{side:.1f}" '
+        f'<rect x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}" '
         f'fill="none" stroke="{FAINT}" stroke-dasharray="6 4"/>'
     )
 

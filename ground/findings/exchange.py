@@ -44,9 +44,8 @@ def geojson(it: Findings) -> str:
     if it.contour:
         rings = [ring.tolist() for ring in it.contour.rings]
         features.append(_feature("region_95_contour", _polygons(it, rings), {"share": 0.95}))
-    corner, side = 0.0, it.area_m
-    square = [[corner, corner], [side, corner], [side, side], [corner, side], [corner, corner]]
-    features.append(_feature("area", _polygons(it, [square]), {"side_m": side}))
+    area = {"low_m": it.area.low, "high_m": it.area.high}
+    features.append(_feature("area", _polygons(it, [_rectangle(it.area.low, it.area.high)]), area))
     if len(it.flight.track) > 1:
         track = _line(it, it.flight.track.tolist())
         features.append(_feature("track", track, {"points": len(it.flight.track)}))
@@ -148,15 +147,18 @@ def _is_within(place: Sequence[float], ring: Sequence[Sequence[float]]) -> bool:
 
 def _cells(it: Findings) -> list[dict[str, Any]]:
     assert it.smallest
-    centres = it.smallest.centres_m.tolist()
-    half = 0.5 * (centres[1] - centres[0])
+    width_m, height_m = it.smallest.cell_m
     features = []
-    for row, y in zip(it.smallest.rates_gs.tolist(), centres, strict=True):
-        for rate, x in zip(row, centres, strict=True):
-            west, south, east, north = x - half, y - half, x + half, y + half
-            ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
-            features.append(_feature("smallest_rate", _polygons(it, [ring]), {"rate_gs": rate}))
+    for (x, y), rate in it.smallest.cells():
+        ring = _rectangle((x - width_m / 2, y - height_m / 2), (x + width_m / 2, y + height_m / 2))
+        features.append(_feature("smallest_rate", _polygons(it, [ring]), {"rate_gs": rate}))
     return features
+
+
+def _rectangle(low: Point, high: Point) -> list[Point]:
+    """Return the ring around it, from its south-west corner."""
+    (west, south), (east, north) = low, high
+    return [(west, south), (east, south), (east, north), (west, north), (west, south)]
 
 
 # ---- KML ----
@@ -185,9 +187,8 @@ def kml(it: Findings) -> str:
         if it.contour:
             for rings in grouped([ring.tolist() for ring in it.contour.rings]):
                 marks.append(_placemark("region", "95% region: particles", "", _kml_polygon(it, rings)))
-        side = it.area_m
-        square = [[0.0, 0.0], [side, 0.0], [side, side], [0.0, side], [0.0, 0.0]]
-        marks.append(_placemark("area", "Search area", "", _kml_polygon(it, [square])))
+        ring = _rectangle(it.area.low, it.area.high)
+        marks.append(_placemark("area", "Search area", "", _kml_polygon(it, [ring])))
         if len(it.flight.track) > 1:
             places = _coordinates(it, it.flight.track.tolist())
             line = f"<LineString><tessellate>1</tessellate>{places}</LineString>"

@@ -22,12 +22,13 @@ from link.bus.messages import Belief
 from plume import __version__
 from plume.geodesy import to_global
 from plume.outcome import gas_lines, interval
-from plume.scenario import AREA_M, Scenario
+from plume.problem import Area
+from plume.scenario import Scenario
+from scene.follow.described import problem_of
 from scene.scene import Point
 
 KG_H = 3.6  # kg/h of 1 g/s
 Z_95 = 1.959963984540054
-MOST_AREA_M = 100_000.0
 FARTHEST_M = 1e7  # a place further from home is none: a damaged record may say anything
 
 
@@ -61,12 +62,12 @@ class FlownWind(NamedTuple):
 
 @dataclass(frozen=True)
 class Findings:
-    """All figures of a flight. Lengths in metres, x east, y north, from the area's corner."""
+    """All figures of a flight. Lengths in metres, x east, y north of home."""
 
     flight: Flight
     told: Told
     verdict: Judgement
-    area_m: float
+    area: Area
     ellipse: Ellipse95
     contour: Contour95 | None
     height: Ranged | None  # of the source above home, m; None if it was taken to be known
@@ -99,7 +100,7 @@ def findings_of(flight: Flight) -> Findings:
     last = flight.last
     told = told_of(last, flight.about)
     judged = verdict(flight, told)
-    area_m = _area(told)
+    area = problem_of(flight.about).area
     contour = None
     if flight.particles is not None:
         contour = contour_95(*places_of(flight.particles, last.unknowns, last.mean))
@@ -108,24 +109,16 @@ def findings_of(flight: Flight) -> Findings:
         flight=flight,
         told=told,
         verdict=judged,
-        area_m=area_m,
+        area=area,
         ellipse=ellipse_95(last.mean, last.covariance),
         contour=contour,
         height=_ranged("z", last.z, flight) if "z" in last.unknowns else None,
         rate=_ranged("q", last.rate, flight),
         wind=_wind(flight),
         gas=last.intermittency,
-        smallest=smallest_rates(flight, told, area_m) if not_found else None,
+        smallest=smallest_rates(flight, told, area) if not_found else None,
         made_ns=int(datetime.now(UTC).timestamp() * 1e9),
     )
-
-
-def _area(told: Told) -> float:
-    try:
-        area_m = float(told.words.get("area", AREA_M))
-    except ValueError:
-        return AREA_M
-    return area_m if 0 < area_m <= MOST_AREA_M else AREA_M
 
 
 def _ranged(name: str, value: float, flight: Flight) -> Ranged:
@@ -253,7 +246,8 @@ def as_json(it: Findings) -> dict[str, Any]:
         "priors": [_prior(row) for row in it.told.priors],
         "margin_m": it.told.margin_m,
         "estimator_flags": command_line(about),
-        "area": {"side_m": it.area_m, "corner_deg": flight.home, "corner_said_by": flight.home_by},
+        "area": {"low_m": it.area.low, "high_m": it.area.high},
+        "home": {"place_deg": flight.home, "said_by": flight.home_by},
         "checks": {
             "p_value": last.p_value,
             "evidence_nats": last.evidence,

@@ -19,7 +19,7 @@ from plume.geodesy import to_global
 from scene.follow.history import History, history_of, remark_on
 from scene.scene import ERROR, WARNING, Point
 
-Home = tuple[float, float]  # latitude and longitude of the area's corner, degrees, WGS84
+Home = tuple[float, float]  # latitude and longitude, degrees, WGS84
 NS = 1_000_000_000
 CHUNK = 1 << 20
 
@@ -51,7 +51,7 @@ class Flight(NamedTuple):
     path: Path
     sha256: str
     about: dict[str, Any]  # the run's own description
-    home: Home | None  # None: nobody said where the area is
+    home: Home | None  # None: nobody said where it is
     home_by: str  # who said so, in words
     samples: list[FlownReading]
     last: Belief
@@ -90,14 +90,14 @@ def flight_of(path: Path) -> Flight | None:
 
 
 def home_of(recording: Recording) -> tuple[Home | None, str]:
-    """Return where the area's corner is by a record, and who says so."""
+    """Return where home is by a record, and who says so."""
     return _home(history_of(recording), recording.about)
 
 
 def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = None) -> Flight | None:
     """Return the last mission of what was recorded; None if there is no belief that can be read.
 
-    replayed_at: corner of the area, where the record is of another vehicle's log, whose own frame is another.
+    replayed_at: home, where the record is of another vehicle's log, whose own frame is another.
     path: the file of the record, or of the log.
     """
     beliefs = _beliefs(recording.entries)
@@ -188,7 +188,7 @@ def _sample(said: Belief, entry: Entry, reading: tuple[Reading, Entry] | None) -
 
 
 def _home(history: History, about: dict[str, Any]) -> tuple[Home | None, str]:
-    """Return where the area's corner is, and who says so."""
+    """Return where home is, and who says so."""
     if (fix := history.home) is not None and any(fix[:2]):
         return fix[:2], "the vehicle's HOME_POSITION"
     craft = history.craft

@@ -130,7 +130,7 @@ def _glance(it: Findings) -> list[tuple[str, str]]:
     rows = [
         ("Source (best estimate)" if is_find else "Centre of the belief, no find", place_text(it)),
         (
-            "From the area's corner",
+            "From home",
             f"{_metres(x, half)} m east, {_metres(y, half)} m north",
         ),
         ("95% region", ellipse_text(it) + (_contour_text(it) if it.contour else "")),
@@ -164,14 +164,14 @@ def _contour_text(it: Findings) -> str:
 def _maps(it: Findings, background: Background | None) -> str:
     whole = whole_map(it, background)
     near = ""
-    if it.ellipse.longer_m < NEAR * it.area_m:
+    if it.ellipse.longer_m < NEAR * it.area.side_m:
         near = (
             f'<figure class="near">{near_map(it)}<figcaption>The estimate (cross) and the belief\'s '
             "particles (dots) with the 95% ellipse (dashed) and the contour that holds 95% of the particles."
             "</figcaption></figure>"
         )
     return f"""<div class="maps">
-<figure>{whole}<figcaption>Track (line) and readings (dots). Dashed square: the search area. Cross: the
+<figure>{whole}<figcaption>Track (line) and readings (dots). Dashed rectangle: the search area. Cross: the
 estimate; dashed ellipse and filled contour: its 95% region. North is up.</figcaption></figure>
 {near}
 </div>"""
@@ -245,7 +245,10 @@ def _assumed(it: Findings) -> str:
         ("Calibration", "; ".join(f"{name} {value:.6g}" for name, value in numbers.items()) or "unknown"),
         ("Assumption", last.assume),
         ("Stop", f"{last.stop}: {stop_text(last.stop)}; {'met' if last.ceased else 'not met'}"),
-        ("Area", f"{it.area_m:g} m by {it.area_m:g} m; the source may be up to {told.margin_m:g} m beyond"),
+        (
+            "Area",
+            f"{it.area.text}, east by north of home; the source may be up to {told.margin_m:g} m beyond",
+        ),
         ("False readings", f"{100 * told.spikes:g}% of the readings are taken to say nothing of the source"),
     ]
     priors = _table(
@@ -291,7 +294,7 @@ def _provenance(it: Findings) -> list[tuple[str, str]]:
         ("Readings", f"{len(flight.samples):,} in {figures['distance_m']:.1f} m"),
         ("First and last reading", f"{utc(flight.began_ns)} to {utc(flight.ended_ns)} (UTC)"),
         (
-            "Corner of the area",
+            "Home",
             "unknown: nobody said where it is"
             if flight.home is None
             else f"latitude {flight.home[0]:.7f}°, longitude {flight.home[1]:.7f}° (WGS84), by "

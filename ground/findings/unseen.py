@@ -8,7 +8,7 @@ track stays as it was: a search would have turned towards the gas.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,9 +19,11 @@ from ground.findings.flight import Flight
 from ground.findings.verdict import CLEAR
 from plume.dispersion import SOURCE_RADIUS_M, concentration
 from plume.parameters import BLANK, LIMITS, NEUTRAL
+from plume.problem import Area
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import Sensor
 from plume.sensors.sensor import Gaussian, Hits, Threshold
+from scene.scene import Point
 
 Array = NDArray[np.float64]
 Place = Sequence[float]
@@ -40,7 +42,7 @@ SMALLEST = 1e-300
 class Smallest(NamedTuple):
     """The smallest rates over the area."""
 
-    centres_m: Array  # (CELLS,): x, and y, of the cells' middles
+    area: Area
     rates_gs: Array  # (CELLS, CELLS), by y, then x; infinite where no rate would have been seen
     every: int  # every so manyth reading counted
 
@@ -49,26 +51,35 @@ class Smallest(NamedTuple):
         """The finite rates."""
         return self.rates_gs[np.isfinite(self.rates_gs)]
 
+    @property
+    def cell_m(self) -> tuple[float, float]:
+        """Width and height of a cell."""
+        width_m, height_m = self.area.size_m
+        return width_m / CELLS, height_m / CELLS
+
+    def cells(self) -> Iterator[tuple[Point, float]]:
+        """Yield the middle of each cell, (x, y) m, and its rate, g/s."""
+        yield from zip(middles(self.area), self.rates_gs.ravel().tolist(), strict=True)
+
     def as_json(self, on_earth: Callable[[Place], tuple[float, float] | None]) -> dict[str, Any]:
         """Return it as JSON-able values; places have latitude and longitude if they are known."""
         cells = []
-        for row, y in zip(self.rates_gs.tolist(), self.centres_m.tolist(), strict=True):
-            for rate, x in zip(row, self.centres_m.tolist(), strict=True):
-                place = on_earth((x, y)) or (None, None)
-                cells.append(
-                    {
-                        "x_m": x,
-                        "y_m": y,
-                        "latitude_deg": place[0],
-                        "longitude_deg": place[1],
-                        "rate_gs": rate if math.isfinite(rate) else None,
-                    }
-                )
+        for (x, y), rate in self.cells():
+            place = on_earth((x, y)) or (None, None)
+            cells.append(
+                {
+                    "x_m": x,
+                    "y_m": y,
+                    "latitude_deg": place[0],
+                    "longitude_deg": place[1],
+                    "rate_gs": rate if math.isfinite(rate) else None,
+                }
+            )
         seen = self.seen
         return {
             "probability": PROBABILITY,
             "method": METHOD,
-            "cell_m": float(self.centres_m[1] - self.centres_m[0]),
+            "cell_m": self.cell_m,
             "share_of_the_area_seen": len(seen) / self.rates_gs.size,
             "least_gs": float(seen.min()) if len(seen) else None,
             "median_gs": float(np.median(seen)) if len(seen) else None,
@@ -83,15 +94,23 @@ METHOD = (
 )
 
 
-def smallest_rates(flight: Flight, told: Told, area_m: float, flights: int = FLIGHTS) -> Smallest | None:
+def smallest_rates(flight: Flight, told: Told, area: Area, flights: int = FLIGHTS) -> Smallest | None:
     """Return the smallest rates that a flight would have seen; None for a sensor that is not known."""
     if told.sensor is None:
         return None
     every = -(-len(flight.samples) // MOST_READINGS)
     supposed = Supposed(flight, told.sensor, told.spikes, flights, every)
-    centres: Array = (np.arange(CELLS) + 0.5) * (area_m / CELLS)
-    rates = np.array([[smallest_rate(supposed, (x, y)) for x in centres.tolist()] for y in centres.tolist()])
-    return Smallest(centres, rates, every)
+    rates = np.array([smallest_rate(supposed, place) for place in middles(area)])
+    return Smallest(area, rates.reshape(CELLS, CELLS), every)
+
+
+def middles(area: Area) -> list[Point]:
+    """Return the middles of an area's cells, (x, y) m, by y, then x."""
+    x, y = (
+        (low + (np.arange(CELLS) + 0.5) * (length_m / CELLS)).tolist()
+        for low, length_m in zip(area.low, area.size_m, strict=True)
+    )
+    return [(east, north) for north in y for east in x]
 
 
 def smallest_rate(supposed: "Supposed", place: tuple[float, float]) -> float:
@@ -256,7 +275,7 @@ class SupposedSource:
         return offsets
 
     def _ray(self, place: tuple[float, float], sensor: Instrument) -> list[tuple[Array, Array]]:
-        """Return places along the ray, m from the vehicle, and their weights, m: as `plume/response.py`."""
+        """Return places along the ray, m from the vehicle, and their weights, m: as the sensor's response."""
         offsets, aim = self._offsets(place), np.array(sensor.aim)
         past = offsets @ aim
         near = np.sqrt(np.maximum(np.square(offsets).sum(axis=-1) - past * past, SOURCE_RADIUS_M**2))

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 from ground.findings.assumed import Told
 from ground.findings.flight import Flight
-from plume.outcome import beyond
 from plume.scenario import SURE_OUTSIDE
 from plume.sensors.instruments import Instrument
+from scene.follow.described import problem_of
 
 FOUND, DOUBTFUL, OUTSIDE, NOT_FOUND = "found", "doubtful", "outside", "not found"
 # As in `estimator/belief.py`; a test holds them equal.
@@ -27,7 +27,7 @@ def verdict(flight: Flight, told: Told) -> Judgement:
     """Judge a flight by what it says of itself: nobody knows the truth."""
     last = flight.last
     if last.ceased and last.outside >= SURE_OUTSIDE:
-        to = beyond(last.mean)
+        to = problem_of(flight.about).area.beyond(last.mean)
         where = f", to the {to}" if to else ""
         sentence = f"The source is outside the search area{where} ({100 * last.outside:.0f}% of the belief)."
         return Judgement(OUTSIDE, sentence, _doubts(flight, told))

@@ -23,7 +23,7 @@ from link import cli
 from link.record.reader import Recording, read
 from link.terminal import tell
 from plume import __version__
-from plume.outcome import UNITS, assumed_text, beyond, gas_lines, on_earth, outside_text, verdict
+from plume.outcome import UNITS, assumed_text, gas_lines, on_earth, outside_text, verdict
 from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
 from plume.sensors import names as sensor
@@ -267,11 +267,7 @@ def _give_up(files: RecordFiles | None) -> None:
 
 def _write_findings(result: Player, source: Source, args: argparse.Namespace) -> None:
     """Write the findings of a log that was replayed. Raises BadInput."""
-    about = {
-        "namespace": source.namespace,
-        "parts": dict(source.parts),
-        "versions": {"plumeward": __version__},
-    }
+    about = {**source.about, "versions": {"plumeward": __version__}}
     heard = Recording(about, [*source.entries, *result.said], complete=True)
     flight = gathered(heard, source.path, replayed_at=source.home)
     if flight is None:
@@ -290,8 +286,11 @@ def _text(result: Player, source: Source, rules: Rules | None, took_s: float) ->
     if last is not None:
         x, y = last.mean
         ceased = "not ceased" if result.ceased_at is None else f"ceased at step {result.ceased_at}"
-        if verdict(result.ceased_at is not None, last.mean, None, last.outside) == "outside":
-            ceased += f": {outside_text(last.outside, beyond(last.mean, source.area_m))}"
+        if (
+            verdict(result.ceased_at is not None, last.mean, None, last.outside, source.problem.area)
+            == "outside"
+        ):
+            ceased += f": {outside_text(last.outside, source.problem.area.beyond(last.mean))}"
         outcome = f"{last.step + 1} readings, {ceased}\nestimate ({x:.2f}, {y:.2f}) ± {last.spread:.2f} m"
         if source.truth:
             outcome += (

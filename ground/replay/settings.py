@@ -14,6 +14,8 @@ from msgspec import Meta
 Plain = Annotated[str, Meta(pattern=r"\A[A-Za-z][\w:=.,+ -]*\Z", max_length=200)]
 # The name of a policy, not the file of one.
 Named = Annotated[str, Meta(pattern=r"\A[A-Za-z][\w+.-]*(?<!\.zip)\Z", max_length=200)]
+# A problem as JSON, not the file of one.
+Told = Annotated[str, Meta(pattern=r"\A(paper|\{.*\})\Z", max_length=20_000)]
 Waypoints = Annotated[str, Meta(pattern=r"\A\d+:[\d.,;e+-]*\Z")]  # STEP:X,Y;X,Y;..
 
 
@@ -23,6 +25,7 @@ class _Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename=
     seed: int | None = None
     sysid: int | None = None
     area: float | None = None
+    problem: Told | None = None
 
 
 class Estimator(_Settings, frozen=True):

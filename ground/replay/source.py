@@ -20,7 +20,8 @@ from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.cli import BadInput
 from link.record.reader import RecordError, is_record, read
 from link.record.record import Entry
-from plume.scenario import AREA_M, AS_MODELLED
+from plume.problem import PAPER, Problem, in_area, square
+from plume.scenario import AS_MODELLED
 from plume.sensors import names as sensor
 from sitl.script import script
 
@@ -80,9 +81,9 @@ class Source(NamedTuple):
     budget: float = math.inf  # the agent's step budget
     truth: tuple[float, float] | None = None  # true location of the source, m; None if unknown
     world: str = AS_MODELLED  # how the truth differs from what the estimator was told; as modelled if unknown
-    area_m: float = AREA_M  # side of the search area
+    problem: Problem = PAPER  # where the search flew
     notes: tuple[str, ...] = ()  # remarks on the log, one line each
-    home: tuple[float, float] | None = None  # latitude and longitude of a log's area's corner, degrees
+    home: tuple[float, float] | None = None  # latitude and longitude of a log's home, degrees
 
     @property
     def about(self) -> dict[str, Any]:
@@ -90,7 +91,7 @@ class Source(NamedTuple):
         return {
             "namespace": self.namespace,
             "parts": dict(self.parts),
-            "area_m": self.area_m,
+            "problem": msgspec.to_builtins(self.problem),
             "mission": {"about": f"replay of {self.path.name}"},
             "log": {"file": self.path.name, "notes": self.notes},
         }
@@ -112,6 +113,7 @@ class _About(msgspec.Struct, frozen=True):
     budget: int | None = None
     scenario: _Release = _Release()
     mission: _Mission = _Mission()
+    problem: Problem = PAPER
 
 
 def recording(path: Path, bundle: str | None = None) -> Source:
@@ -172,6 +174,7 @@ def recording(path: Path, bundle: str | None = None) -> Source:
         budget=math.inf if told.budget is None else told.budget,
         truth=told.scenario.source,
         world=told.mission.world,
+        problem=told.problem,
         notes=(note,) if note else (),
     )
 
@@ -214,7 +217,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         False,
         truth=world.truth.source if world else None,
         world=world.name if world else AS_MODELLED,
-        area_m=flown.area_m,
+        problem=_problem(flown),
         notes=tuple(notes),
         home=None if lat is None or lon is None else (lat, lon),
     )
@@ -245,7 +248,7 @@ def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -
         {"estimator": estimator},
         f"uav/{flown.system}",
         False,
-        area_m=flown.area_m,
+        problem=_problem(flown),
         notes=tuple(notes),
         home=None if lat is None or lon is None else (lat, lon),
     )
@@ -264,6 +267,14 @@ def _sensing(flown: LoggedFlight, filtering: Mapping[str, Any], notes: list[str]
         chosen["prior"] = [UNTOLD_RATE, *given]
         notes.append("rate: unknown, 1 kg/h within a factor of 7.4; --rate Q says it to a factor of 2")
     return chosen
+
+
+def _problem(flown: LoggedFlight) -> Problem:
+    """Return the problem of a log: to search the square about its flight. Raises BadInput."""
+    try:
+        return in_area(square(flown.area_m))
+    except ValueError as error:
+        raise BadInput(f"--area: {error}") from None
 
 
 def _estimator(flown: LoggedFlight, chosen: Mapping[str, Any]) -> list[str]:

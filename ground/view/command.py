@@ -143,7 +143,14 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
     mission = load(truth.pop("mission")) if args.mission else Script()
     script = mission.changed(truth)
     return dict(
-        msgspec.to_builtins({"mission": script, "scenario": script.simulated().truth, "seed": script.seed})
+        msgspec.to_builtins(
+            {
+                "mission": script,
+                "problem": script.problem,
+                "scenario": script.simulated().truth,
+                "seed": script.seed,
+            }
+        )
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from plume.problem import Area
 from scene.scene import Craft, Floats, Measurement, Release, Scatter, Scene, ellipse
 from scene.state import meaning, state_of
 
@@ -65,7 +66,7 @@ def packed(
     arrays.append(({"name": "track", "from": track_from}, scene.track[track_from:]))
     shown = scene.backdrop.release if truth else None
     if shown is not None and shown != sent.release:
-        arrays.append(({"name": "plume"}, plume(shown, scene.backdrop.area_m)))
+        arrays.append(({"name": "plume"}, plume(shown, scene.backdrop.area)))
     header = _header(scene, sent) | {
         "number": number,
         "published_ms": published_ms,
@@ -94,7 +95,7 @@ def _header(scene: Scene, sent: Sent) -> dict[str, Any]:
     return {
         "vehicle": scene.backdrop.vehicle,
         "time_s": scene.time_s,
-        "area_m": scene.backdrop.area_m,
+        "area": [*scene.backdrop.area.low, *scene.backdrop.area.high],
         "title": scene.backdrop.title,
         "stop": scene.stop,
         "threshold_m": scene.threshold_m,
@@ -170,6 +171,6 @@ def _particles(scatter: Scatter | None) -> Floats:
 
 
 @lru_cache(maxsize=8)
-def plume(release: Release, area_m: float) -> Floats:
+def plume(release: Release, area: Area) -> Floats:
     """Return the true plume, g/m³: (PLUME_CELLS, PLUME_CELLS), row 0 in the south."""
-    return release.gas(area_m, PLUME_CELLS)
+    return release.gas(area, PLUME_CELLS)

@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from plume.elementary import exp, log
+from plume.problem import PAPER, Area, Problem
 from plume.randomness import keyed, uniform
-from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M, draw
+from plume.scenario import draw
 
+MOST_DRAWS = 100_000  # of a place until one is as wanted
 SPIKED_READINGS = 30  # spikes are among so many first readings: most searches take as many
 SPIKES = 0.5, 100.0  # their least and greatest size, g/m³ or hits
 
@@ -61,7 +63,7 @@ class Wrong(NamedTuple):
     """A wrong assumption to choose."""
 
     about: str  # one line about it
-    errors: Callable[[int], Errors]  # the errors of the mission of a seed
+    errors: Callable[[int, Problem], Errors]  # the errors of a problem's mission of a seed
 
 
 def side(seed: int) -> int:
@@ -69,33 +71,49 @@ def side(seed: int) -> int:
     return 1 if keyed(seed, "wind error").random() < 0.5 else -1
 
 
-def outside(seed: int) -> tuple[float, float]:
-    """Draw a source uniformly from the area outside Table 1's square, (x, y) m."""
-    rng = keyed(seed, "source outside")
-    while True:
-        x, y = uniform(rng, np.zeros(2), AREA_M).tolist()
-        if not (SOURCE_LOW_M <= x <= SOURCE_HIGH_M and SOURCE_LOW_M <= y <= SOURCE_HIGH_M):
+def outside(seed: int, problem: Problem = PAPER) -> tuple[float, float]:
+    """Draw a source uniformly from the area outside where a problem's are, (x, y) m.
+
+    Raises ValueError where there is hardly such a place.
+    """
+    rng, area, sources = keyed(seed, "source outside"), problem.area, problem.sources
+    for _ in range(MOST_DRAWS):
+        x, y = uniform(rng, np.array(area.low), np.array(area.high)).tolist()
+        if not (isinstance(sources, Area) and sources.holds((x, y))):
             return x, y
+    raise ValueError("source-outside is not for a problem whose sources are drawn from the whole area")
 
 
-def beyond(seed: int) -> tuple[float, float]:
-    """Draw a source 2 to 6 m beyond one of the area's edges, (x, y) m."""
-    rng = keyed(seed, "source beyond")
-    edge, along_m, off_m = uniform(rng, np.array([0, 0, 2.0]), np.array([4, AREA_M, 6.0])).tolist()
-    across_m = -off_m if edge < 2 else AREA_M + off_m
-    return (across_m, along_m) if edge % 2 < 1 else (along_m, across_m)
+def beyond(seed: int, problem: Problem = PAPER) -> tuple[float, float]:
+    """Draw a source beyond one of the area's edges, (x, y) m.
+
+    It is a fifteenth to a fifth of the area's side away, in Table 1's area 2 to 6 m.
+    """
+    rng, area = keyed(seed, "source beyond"), problem.area
+    side_m = area.side_m
+    drawn = rng.random(3)
+    edge = 4.0 * drawn[0]
+    across, along = (0, 1) if edge % 2 < 1 else (1, 0)
+    along_m = float(area.low[along] + area.size_m[along] * drawn[1])
+    off_m = float(side_m / 15 + (side_m / 5 - side_m / 15) * drawn[2])
+    across_m = area.low[across] - off_m if edge < 2 else area.high[across] + off_m
+    return (across_m, along_m) if across == 0 else (along_m, across_m)
 
 
-def second(seed: int) -> tuple[float, float]:
-    """Draw a place in the area that is 5 to 15 m from the source of the seed's scenario, (x, y) m."""
-    first, rng = draw(seed).source, keyed(seed, "second source")
-    while True:
-        x, y = uniform(rng, np.zeros(2), AREA_M).tolist()
-        if 5.0 <= math.dist((x, y), first) <= 15.0:
+def second(seed: int, problem: Problem = PAPER) -> tuple[float, float]:
+    """Draw a place in the area that is away from the source of the seed's scenario, (x, y) m.
+
+    It is a sixth to a half of the area's side away, in Table 1's area 5 to 15 m.
+    """
+    first, rng, area = draw(seed, problem).source, keyed(seed, "second source"), problem.area
+    for _ in range(MOST_DRAWS):
+        x, y = uniform(rng, np.array(area.low), np.array(area.high)).tolist()
+        if area.side_m / 6 <= math.dist((x, y), first) <= area.side_m / 2:
             return x, y
+    raise ValueError("two-sources is not for a problem whose source is drawn far from its area")
 
 
-def all_at_once(seed: int) -> Errors:
+def all_at_once(seed: int, _: Problem = PAPER) -> Errors:
     """Draw an error of every kind: direction and cv uniform, factors log-uniform."""
     rng = keyed(seed, "all at once")
     direction_deg, cv = uniform(rng, np.array([-30.0, 0.0]), np.array([30.0, 1.0])).tolist()
@@ -104,7 +122,7 @@ def all_at_once(seed: int) -> Errors:
     return Errors(direction_deg=direction_deg, speed=speed, q=q, d=d, tau=tau, gain=gain, noise=noise, cv=cv)
 
 
-def stuck(seed: int) -> Errors:
+def stuck(seed: int, _: Problem = PAPER) -> Errors:
     """Draw the value that the sensor repeats from reading 10 on: uniform from 0 to 3 g/m³."""
     return Errors(stuck_from=10, stuck_at=3.0 * keyed(seed, "stuck").random())
 
@@ -121,70 +139,73 @@ def spikes(seed: int, count: int) -> Errors:
 WRONG: dict[str, Wrong] = {
     "wind-10": Wrong(
         "true wind direction 10° off the measured one, left or right",
-        lambda seed: Errors(direction_deg=10.0 * side(seed)),
+        lambda seed, _: Errors(direction_deg=10.0 * side(seed)),
     ),
     "wind-30": Wrong(
         "true wind direction 30° off the measured one, left or right",
-        lambda seed: Errors(direction_deg=30.0 * side(seed)),
+        lambda seed, _: Errors(direction_deg=30.0 * side(seed)),
     ),
-    "speed-low": Wrong("true wind speed 0.7 times the measured one", lambda _: Errors(speed=0.7)),
-    "speed-high": Wrong("true wind speed 1.4 times the measured one", lambda _: Errors(speed=1.4)),
+    "speed-low": Wrong("true wind speed 0.7 times the measured one", lambda *_: Errors(speed=0.7)),
+    "speed-high": Wrong("true wind speed 1.4 times the measured one", lambda *_: Errors(speed=1.4)),
     "wind-noisy": Wrong(
         "an anemometer that errs by 10° and 10% of the speed in each reading",
-        lambda _: Errors(wind_std_deg=10.0, wind_std=0.1),
+        lambda *_: Errors(wind_std_deg=10.0, wind_std=0.1),
     ),
     "noise-doubled": Wrong(
-        "twice the sensor noise, α and β; a count of hits has none", lambda _: Errors(noise=2.0)
+        "twice the sensor noise, α and β; a count of hits has none", lambda *_: Errors(noise=2.0)
     ),
     "noise-halved": Wrong(
-        "half the sensor noise, α and β; a count of hits has none", lambda _: Errors(noise=0.5)
+        "half the sensor noise, α and β; a count of hits has none", lambda *_: Errors(noise=0.5)
     ),
-    "gain-halved": Wrong("the sensor meets half the gas", lambda _: Errors(gain=0.5)),
-    "gain-doubled": Wrong("the sensor meets twice the gas", lambda _: Errors(gain=2.0)),
-    "rate-halved": Wrong("half the release rate", lambda _: Errors(q=0.5)),
-    "rate-doubled": Wrong("twice the release rate", lambda _: Errors(q=2.0)),
-    "tau-halved": Wrong("half the lifetime of the gas", lambda _: Errors(tau=0.5)),
-    "tau-doubled": Wrong("twice the lifetime of the gas", lambda _: Errors(tau=2.0)),
-    "d-halved": Wrong("half the diffusivity", lambda _: Errors(d=0.5)),
-    "d-doubled": Wrong("twice the diffusivity", lambda _: Errors(d=2.0)),
+    "gain-halved": Wrong("the sensor meets half the gas", lambda *_: Errors(gain=0.5)),
+    "gain-doubled": Wrong("the sensor meets twice the gas", lambda *_: Errors(gain=2.0)),
+    "rate-halved": Wrong("half the release rate", lambda *_: Errors(q=0.5)),
+    "rate-doubled": Wrong("twice the release rate", lambda *_: Errors(q=2.0)),
+    "tau-halved": Wrong("half the lifetime of the gas", lambda *_: Errors(tau=0.5)),
+    "tau-doubled": Wrong("twice the lifetime of the gas", lambda *_: Errors(tau=2.0)),
+    "d-halved": Wrong("half the diffusivity", lambda *_: Errors(d=0.5)),
+    "d-doubled": Wrong("twice the diffusivity", lambda *_: Errors(d=2.0)),
     "cv-0.6": Wrong(
-        "intermittent gas: its standard deviation is 0.6 times its mean", lambda _: Errors(cv=0.6)
+        "intermittent gas: its standard deviation is 0.6 times its mean", lambda *_: Errors(cv=0.6)
     ),
-    "cv-1": Wrong("intermittent gas: its standard deviation equals its mean", lambda _: Errors(cv=1.0)),
-    "cv-2": Wrong("intermittent gas: its standard deviation is twice its mean", lambda _: Errors(cv=2.0)),
+    "cv-1": Wrong("intermittent gas: its standard deviation equals its mean", lambda *_: Errors(cv=1.0)),
+    "cv-2": Wrong("intermittent gas: its standard deviation is twice its mean", lambda *_: Errors(cv=2.0)),
     "cv-1-correlated": Wrong(
         "as cv-1, with a correlation of 0.7 between one reading and the next",
-        lambda _: Errors(cv=1.0, correlation=0.7),
+        lambda *_: Errors(cv=1.0, correlation=0.7),
     ),
     "all-at-once": Wrong(
         "wind, noise, gain, rate, lifetime, diffusivity and intermittency all drawn at random", all_at_once
     ),
     "readings-lost": Wrong(
-        "20% of the readings have no value until they are taken again", lambda _: Errors(lost=0.2)
+        "20% of the readings have no value until they are taken again", lambda *_: Errors(lost=0.2)
     ),
     "source-outside": Wrong(
-        "the source is outside the square [10, 25]²", lambda seed: Errors(source=outside(seed))
+        "the source is outside where it is drawn: of paper the square [10, 25]²",
+        lambda seed, problem: Errors(source=outside(seed, problem)),
     ),
     "source-beyond": Wrong(
-        "the source is 2 to 6 m beyond an edge of the area", lambda seed: Errors(source=beyond(seed))
+        "the source is beyond an edge of the area, by 2 to 6 m of 30",
+        lambda seed, problem: Errors(source=beyond(seed, problem)),
     ),
     "two-sources": Wrong(
-        "a second source like the first, 5 to 15 m from it", lambda seed: Errors(second=second(seed))
+        "a second source like the first, 5 to 15 m from it in an area of 30 m",
+        lambda seed, problem: Errors(second=second(seed, problem)),
     ),
     "spike": Wrong(
         "one false reading among the first 30, too high by 0.5 to 100 g/m³ or hits",
-        lambda seed: spikes(seed, 1),
+        lambda seed, _: spikes(seed, 1),
     ),
-    "spikes-3": Wrong("as spike, with three false readings", lambda seed: spikes(seed, 3)),
+    "spikes-3": Wrong("as spike, with three false readings", lambda seed, _: spikes(seed, 3)),
     "stuck": Wrong("the sensor repeats one value, from 0 to 3 g/m³, from reading 10 on", stuck),
     "stuck-noisy": Wrong(
         "the sensor reads 1 ± 0.2 g/m³ everywhere",
-        lambda _: Errors(stuck_from=0, stuck_at=1.0, stuck_std=0.2),
+        lambda *_: Errors(stuck_from=0, stuck_at=1.0, stuck_std=0.2),
     ),
 }
 
 
-def combined(names: Sequence[str], seed: int) -> Errors:
+def combined(names: Sequence[str], seed: int, problem: Problem = PAPER) -> Errors:
     """Return the errors of a mission under several wrong assumptions at once; none if there are no names.
 
     Directions add, factors multiply. Raises ValueError where two say something of the same other thing.
@@ -192,7 +213,7 @@ def combined(names: Sequence[str], seed: int) -> Errors:
     usual: dict[str, Any] = Errors()._asdict()
     total = dict(usual)
     for name in names:
-        for field, more in WRONG[name].errors(seed)._asdict().items():
+        for field, more in WRONG[name].errors(seed, problem)._asdict().items():
             if more == usual[field]:
                 continue
             if field == "direction_deg":

@@ -12,6 +12,7 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple
 
+from plume.problem import PAPER, Problem
 from plume.scenario import AS_MODELLED, Scenario, draw
 from plume.worlds.air import Air, Make, NoRelease, Steady
 from plume.worlds.errors import WRONG, Errors, combined
@@ -39,9 +40,9 @@ class Named(NamedTuple):
     parameters: Mapping[str, Any]
     wrong: tuple[str, ...]  # names in the table of errors
 
-    def errors(self, seed: int) -> Errors:
-        """Return how the truth of a mission differs from what is told."""
-        return combined(self.wrong, seed)
+    def errors(self, seed: int, problem: Problem = PAPER) -> Errors:
+        """Return how the truth of a problem's mission differs from what is told. Raises ValueError."""
+        return combined(self.wrong, seed, problem)
 
     def air(self, truth: Scenario, seed: int) -> Air:
         """Return the air of a mission of which the release truly is this. Raises ValueError."""
@@ -80,9 +81,11 @@ def named(name: str) -> Named:
     return world
 
 
-def check(name: str) -> None:
-    """Raise ValueError, with what is allowed, if this is not the name of a world."""
-    named(name)
+def check(name: str, problem: Problem = PAPER) -> None:
+    """Raise ValueError, with what is allowed, if this is not the name of a world for such a problem."""
+    world = named(name)
+    if problem is not PAPER:
+        world.errors(0, problem)
 
 
 def separate(text: str) -> list[str]:

@@ -13,8 +13,9 @@ import numpy as np
 
 from plume.elementary import Array, direction, float32
 from plume.flight import usual_s
+from plume.problem import PAPER, Problem
 from plume.randomness import Abreast, Keyed, derived_seed, keyed, uniform
-from plume.scenario import AS_MODELLED, SOURCE_HIGH_M, SOURCE_LOW_M, Scenario, WorldError, draw
+from plume.scenario import AS_MODELLED, Scenario, WorldError, draw
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import GAUSSIAN, Sensor
 from plume.sensors.sensor import Hits, Threshold
@@ -44,21 +45,27 @@ class World:
     """
 
     def __init__(
-        self, scenario: Scenario, seed: int, sensor: Sensor = GAUSSIAN, name: str = AS_MODELLED
+        self,
+        scenario: Scenario,
+        seed: int,
+        sensor: Sensor = GAUSSIAN,
+        name: str = AS_MODELLED,
+        problem: Problem = PAPER,
     ) -> None:
         """Take the mission's seed: the noise of reading k is keyed by (seed, k).
 
         Raises ValueError on a name that is none.
 
         scenario, sensor: what the estimator is told. name: of a world, as `--world` takes it, which says how
-        the gas moves and how the truth differs.
+        the gas moves and how the truth differs.  problem: of which the scenario has been drawn.
         """
         self.scenario = scenario
+        self.problem = problem
         self.seed = seed
         self.sensor = sensor
         self.name = name
         chosen = named(name)
-        self.errors = wrong = chosen.errors(seed)
+        self.errors = wrong = chosen.errors(seed, problem)
         # The scenario as it truly is, by which missions are judged.
         self.truth = msgspec.structs.replace(
             scenario,
@@ -103,9 +110,10 @@ class World:
         for _ in range(DRAWN_ANEW):
             with suppress(NoRelease):
                 return chosen.air(self.truth, self.seed)
-            if self.scenario.source != draw(self.seed).source or self.errors.source:
+            if self.scenario.source != draw(self.seed, self.problem).source or self.errors.source:
                 break
-            x, y = uniform(rng, np.full(2, SOURCE_LOW_M), SOURCE_HIGH_M).tolist()
+            low, high = self.problem.spans
+            x, y = uniform(rng, low[:2], high[:2]).tolist()
             self.truth = msgspec.structs.replace(self.truth, source=(x, y))
         return chosen.air(self.truth, self.seed)
 

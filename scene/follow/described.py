@@ -5,11 +5,12 @@ import re
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
-from plume.scenario import AREA_M, Scenario
+from plume.problem import PAPER, Problem
+from plume.scenario import Scenario
 from plume.walls.buildings import read
 from scene.scene import Backdrop, Point, Release
 
@@ -46,18 +47,17 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
         vehicle or str(about.get("namespace", "vehicle")),
         title=f"{policy}, seed {about.get('seed')}" if policy is not None else "",
         release=release,
-        area_m=area_of(about),
+        area=problem_of(about).area,
         walls=_walls(about),
     )
     return backdrop, budget if isinstance(budget, int) else None
 
 
-def area_of(about: dict[str, Any]) -> float:
-    """Return the side of a run's area, m; Table 1's if its description does not tell."""
+def problem_of(about: dict[str, Any]) -> Problem:
+    """Return the problem of a run; the paper's if its description does not tell."""
     with suppress(KeyError, msgspec.ValidationError):
-        area_m: float = msgspec.convert(about["area_m"], Annotated[float, msgspec.Meta(gt=0, le=100_000)])
-        return area_m
-    return AREA_M
+        return msgspec.convert(about["problem"], Problem)
+    return PAPER
 
 
 def _walls(about: dict[str, Any]) -> tuple[tuple[Point, ...], ...]:

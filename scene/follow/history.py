@@ -222,9 +222,9 @@ class History:
         if self._endings.values:
             return False  # repeated
         claim = said.step, said.estimate, said.spread, said.outside
-        area_m = self.backdrop.area_m
-        self._happened(time_s, STOPPED, "estimator", judged(*claim, None, area_m).text)
-        self._ended(time_s, judged(*claim, self.backdrop.release, area_m))
+        area = self.backdrop.area
+        self._happened(time_s, STOPPED, "estimator", judged(*claim, None, area).text)
+        self._ended(time_s, judged(*claim, self.backdrop.release, area))
         return True
 
     def _ended(self, time_s: float, ending: Ending) -> None:

@@ -51,7 +51,6 @@ class VehicleConfig(AircraftConfig):
         ):
             self._check(name, abs(getattr(self, name)) <= bound, f"-{bound:g} to {bound:g}")
         for name in (
-            "area_m",
             "ceiling_m",
             "speed_mps",
             "climb_mps",
@@ -82,14 +81,14 @@ class VehicleConfig(AircraftConfig):
     def local(self, lat_deg: float, lon_deg: float) -> NorthEast:
         """Return (north, east) in m from home of a place; next to the area's edge it counts as on it.
 
-        Home lies on a corner, and steps of 1e-7 degrees cannot hit that exactly.
+        Home may lie on a corner, and counts as such an edge; steps of 1e-7 degrees cannot hit that exactly.
         """
         north, east = to_local(self.home_lat_deg, self.home_lon_deg, lat_deg, lon_deg)
-        return self._snapped(north), self._snapped(east)
+        return self._snapped(north, 1), self._snapped(east, 0)
 
-    def _snapped(self, along_m: float) -> float:
-        edge_m = 0.0 if along_m < self.area_m / 2.0 else self.area_m
-        return edge_m if abs(along_m - edge_m) < GLOBAL_STEP_M else along_m
+    def _snapped(self, along_m: float, axis: int) -> float:
+        edges = self.area.low[axis], self.area.high[axis], 0.0
+        return next((edge for edge in edges if abs(along_m - edge) < GLOBAL_STEP_M), along_m)
 
     @property
     def guards(self) -> bool:

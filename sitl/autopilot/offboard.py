@@ -157,7 +157,8 @@ def steered(setpoint: Setpoint, t_s: float, motion: Motion, config: VehicleConfi
     limits, pushes = config.limits, _pushes(setpoint, motion, config.limits)
     if motion.position[2] >= 0.0 and all(push.acceleration[2] >= 0.0 for push in pushes):
         return halt(t_s, motion, limits)
-    box = Box((0.0, 0.0, -config.ceiling_m), (config.area_m, config.area_m, 0.0))
+    (west, south), (east, north) = config.flown.low, config.flown.high
+    box = Box((south, west, -config.ceiling_m), (north, east, 0.0))
     return steer(t_s, motion, pushes, limits, box)
 
 

@@ -497,11 +497,10 @@ class Vehicle:
         elif position != self._end_told and wants_to_move(setpoint, config.limits):
             self._end_told = position
             north, east, down = position
-            side, above = f"[0, {config.area_m:g}]", f"[0, {config.ceiling_m:g}]"
             self._say(
                 WARNING,
                 f"Setpoint ends at ({metres(east)}, {metres(north)}) m at {metres(-down)} m: "
-                f"allowed is {side} x {side} m at {above} m",
+                f"allowed is {config.flown.text} at [0, {config.ceiling_m:g}] m",
             )
 
     # ---- the mission ----

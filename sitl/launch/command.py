@@ -14,7 +14,7 @@ from aircraft.payload.options import SIMULATED, add_payload_argument
 from aircraft.search.options import add_vehicle_url
 from link import cli
 from plume.outcome import outcome_text
-from plume.scenario import BUDGET_STEPS
+from plume.problem import Problem
 from sitl.launch.launcher import Flown, fly
 from sitl.launch.mission import Launch, RealVehicle, check_connect, check_payload
 from sitl.launch.processes import MissionFailed
@@ -35,6 +35,7 @@ from sitl.uav.options import add_vehicle_arguments
 RECORD_FILE = "FILE.mcap"  # what the recorder calls the file that --record names
 # The flags that the uav has to know, too.
 OF_THE_UAV = (
+    "problem",
     "seed",
     "sensor",
     "dwell",
@@ -74,7 +75,7 @@ def add_arguments(
         "(default: %(default)s)",
     )
     cli.completed(policy, policies, "zip")
-    cli.add_reach_arguments(parser, BUDGET_STEPS)
+    cli.add_reach_arguments(parser)
     cli.add_filter_arguments(parser)
     parser.add_argument(
         "-l",
@@ -182,7 +183,9 @@ def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> La
         given = {**given, "speedup": args.speedup}
     real = None
     if args.vehicle:
-        plume = _words(given, "seed", "sensor", "dwell", "world") if args.payload == SIMULATED else []
+        plume = (
+            _words(given, "problem", "seed", "sensor", "dwell", "world") if args.payload == SIMULATED else []
+        )
         real = RealVehicle(url=args.vehicle, payload=args.payload, payload_arguments=plume, wait_s=args.wait)
     return Launch(
         script=script,
@@ -206,6 +209,8 @@ def _words(given: Mapping[str, Any], *names: str) -> list[str]:
         flag, value = f"--{name.replace('_', '-')}", given.get(name)
         if value is True:
             words.append(flag)
+        elif isinstance(value, Problem):
+            words.append(f"{flag}={value.text}")
         elif isinstance(value, tuple):
             words.append(f"{flag}={','.join(map(repr, value))}")
         elif value is not None:

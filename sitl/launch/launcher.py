@@ -20,6 +20,7 @@ from link.bus.session import Arrival, Bus, LivelinessChange
 from link.terminal import printable
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
+from plume.problem import PAPER
 from plume.scenario import AS_MODELLED
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.heard import MissionHeard, await_services
@@ -151,6 +152,7 @@ def start_parts(
     about = {
         "namespace": mission.namespace,
         "mission": script,
+        "problem": script.problem,
         "seed": script.seed,
         "policy": script.agent.policy,
         "budget": script.budget,
@@ -334,7 +336,8 @@ class MissionWatch:
         script = self._mission.script
         if script.about:
             self._progress.say(printable(script.about))
-        where = "" if script.world == AS_MODELLED else f"world {script.world}, "
+        where = "" if script.problem.area == PAPER.area else f"area {script.problem.area.text}, "
+        where += "" if script.world == AS_MODELLED else f"world {script.world}, "
         self._progress.say(
             f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}"
         )
@@ -410,6 +413,7 @@ class MissionWatch:
             last.stop,
             script.world,
             last.outside,
+            script.problem.area,
             intermittency=last.intermittency,
             advised_dwell_s=last.advised_dwell,
             last_word=heard.last_word(last),

@@ -9,6 +9,7 @@ from typing import Any
 
 from aircraft.payload.options import SIMULATED
 from link.cli import BadInput
+from plume.problem import PAPER
 from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, Scenario
 from sitl.launch.watchdog import PATIENCE_S
@@ -123,6 +124,7 @@ def estimator_arguments(mission: Launch) -> list[str]:
     release = script.release() if mission.truth else None
     q, d, tau = (release.q, release.d, release.tau) if release else (None, None, None)
     flags: dict[str, Any] = {
+        "--problem": _told(script),
         "--particles": part.particles,
         "--assume": part.assume,
         "--stop": part.criterion,
@@ -143,6 +145,7 @@ def agent_arguments(mission: Launch) -> list[str]:
     """Return the agent's flags."""
     script, agent, scripted = mission.script, mission.script.agent, mission.script.scripted()
     flags: dict[str, Any] = {
+        "--problem": _told(script),
         "--policy": None if agent.policy == "none" else agent.policy,
         "--budget": script.budget,
         "--headings": agent.headings,
@@ -153,6 +156,12 @@ def agent_arguments(mission: Launch) -> list[str]:
         "--waypoints": [_path(scripted, step) for step in sorted(scripted) if step - 1 not in scripted],
     }
     return _words(flags)
+
+
+def _told(script: Script) -> str | None:
+    """Return what the services are told of the problem, in the form of --problem; None: it is the paper's."""
+    told = script.problem.told
+    return None if told == PAPER else told.text
 
 
 def _path(scripted: Mapping[int, tuple[float, float]], start: int) -> str:

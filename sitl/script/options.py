@@ -5,15 +5,18 @@ import argparse
 from aircraft.search.events import Wind
 from link import cli
 from link.cli import BadInput
+from plume.problems.names import PROBLEMS
+from plume.problems.options import add_problem_argument
 from plume.randomness import MAX_SEED
 from plume.scenario import AS_MODELLED
 from plume.sensors import names as sensor
 from plume.worlds.names import ABOUT, OURS, check, kinds
-from sitl.script.script import Script, VehiclePart, find, load, shipped
+from sitl.script.script import Script, VehiclePart, check_places, find, load, shipped
 from sitl.script.typed_yaml import Document
 
 # The field of a mission script that each flag sets.
 FIELDS = {
+    "problem": "problem",
     "seed": "seed",
     "speedup": "speedup",
     "sensor": "sensor",
@@ -61,6 +64,7 @@ def add_mission_arguments(parser: argparse.ArgumentParser) -> None:
         "override its fields",
     )
     cli.completed(mission, shipped, "yaml", "yml")
+    cli.completed(add_problem_argument(parser), lambda: PROBLEMS, "yaml", "yml")
     parser.add_argument(
         "--seed",
         type=cli.whole(0, MAX_SEED),
@@ -108,9 +112,18 @@ def script_of(args: argparse.Namespace) -> Script:
         changes = {"estimator.threshold_m": None, "estimator.stop": None, **changes}
     if "home" in given:
         changes |= {f"vehicle.{field}": value for field, value in zip(HOME, given["home"], strict=True)}
-    script = (load(args.mission) if args.mission else Script()).changed(changes)
-    if "dwell" in given:
-        script = script.changed({"sensor": sensor.dwelling(script.sensor, given["dwell"])})
+    script = load(args.mission) if args.mission else Script()
+    try:
+        script = script.changed(changes)
+        if "dwell" in given:
+            script = script.changed({"sensor": sensor.dwelling(script.sensor, given["dwell"])})
+        check(script.world, script.problem)
+    except ValueError as error:
+        field, _, said = str(error).partition(": ")
+        flag = {"step_m": "step", "budget": "budget"}.get(field, "")
+        raise BadInput(f"--{flag}: {said}" if flag in given else f"--problem: {error}") from None
+    if args.mission:
+        check_places(Document(find(args.mission)), script)
     if script.agent.policy == "none" and not script.scripted():
         raise BadInput(
             "--policy: 'none' is not allowed; wanted a policy, or a mission that scripts all its waypoints"

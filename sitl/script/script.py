@@ -15,6 +15,9 @@ from aircraft.search.events import Count, OnBoard, Radians, ScriptEvent, Wind, W
 from aircraft.search.search import AfterStop
 from link.cli import BadInput, did_you_mean
 from plume.parameters import LIMITS, MOST
+from plume.problem import FARTHEST_M, PAPER, Place, Problem
+from plume.problems.names import check as check_problem
+from plume.problems.names import sensor_text
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, AS_MODELLED, BUDGET_STEPS, STEP_M, Scenario, draw
 from plume.sensors import names as sensor
@@ -41,10 +44,15 @@ Lifetime = Annotated[float, _limits("tau")]
 Height = Annotated[float, _limits("z")]
 Positive = Annotated[float, Meta(gt=0, le=MOST)]
 Seconds = Annotated[float, Meta(ge=0, le=MOST)]
-Coordinate = Annotated[float, Meta(ge=0, le=AREA_M)]
-Point = tuple[Coordinate, Coordinate]
-Near = Annotated[float, Meta(ge=-AREA_M, le=2 * AREA_M)]
-Anywhere = tuple[Near, Near]
+# The fields of a problem that a script has in another place, too, and where.
+SAME = {
+    "sensor": "sensor",
+    "world": "world",
+    "budget": "agent.budget",
+    "step_m": "agent.step_m",
+    "stop": "estimator.stop",
+    "altitude_m": "vehicle.takeoff_altitude_m",
+}
 # The agent receives them in one command-line argument, which the system limits to 128 kB.
 MOST_WAYPOINTS = 1000
 OLD_WORDS = {"pause": "hold", "abort": "return"}  # what older scripts call these events
@@ -65,8 +73,8 @@ class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """The gas release; the seed draws every field that is left out."""
 
     source: Annotated[
-        Anywhere | None,
-        Meta(description="(x, y) m, x east, y north, each from -30 to 60; from 0 to 30 is the area"),
+        Place | None,
+        Meta(description="(x, y) m, x east, y north; up to an area's side beyond the problem's area"),
     ] = None
     q: Annotated[Rate | None, _says("q", "release rate", "g/s")] = None
     u: Annotated[WindSpeed | None, _says("u", "wind speed", "m/s")] = None
@@ -77,7 +85,7 @@ class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     d: Annotated[Diffusivity | None, _says("d", "effective diffusivity", "m²/s")] = None
     tau: Annotated[Lifetime | None, _says("tau", "lifetime of the gas", "s")] = None
     start: Annotated[
-        Point | None, Meta(description="where the search begins: (x, y) m, each from 0 to 30")
+        Place | None, Meta(description="where the search begins: (x, y) m in the problem's area")
     ] = None
     height: Annotated[Height | None, _says("z", "height of the source above the search plane", "m")] = None
 
@@ -167,7 +175,7 @@ class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     ] = "homing"
     budget: Count = BUDGET_STEPS
     headings: Literal[4, 8] | None = None
-    step_m: Annotated[float, Meta(gt=0, le=10)] | None = None
+    step_m: Annotated[float, Meta(gt=0, le=FARTHEST_M)] | None = None
     measurements: Annotated[int, Meta(ge=1, le=10_000)] | None = None
 
 
@@ -177,9 +185,9 @@ class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
     """Waypoints that replace the agent's, one per reading; the first answers this step's reading."""
 
-    points: Annotated[list[Point], Meta(min_length=1)]
+    points: Annotated[list[Place], Meta(min_length=1)]
 
-    def path(self) -> list[Point]:
+    def path(self) -> list[Place]:
         """Return the waypoints, (x, y) in m."""
         return self.points
 
@@ -187,8 +195,8 @@ class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
 class Lawnmower(ScriptEvent, frozen=True, tag="lawnmower"):
     """Waypoints that replace the agent's: rows west to east and back, a rectangle from south to north."""
 
-    low: Point = (0.0, 0.0)
-    high: Point = (AREA_M, AREA_M)
+    low: Place = (0.0, 0.0)
+    high: Place = (AREA_M, AREA_M)
     spacing_m: Annotated[
         float, Meta(ge=0.1, le=MOST, description="a number from 0.1: distance between two rows, m")
     ] = 5.0
@@ -196,7 +204,7 @@ class Lawnmower(ScriptEvent, frozen=True, tag="lawnmower"):
         float, Meta(ge=0.1, le=MOST, description="a number from 0.1: distance between two readings, m")
     ] = STEP_M
 
-    def path(self) -> list[Point]:
+    def path(self) -> list[Place]:
         """Return the waypoints, (x, y) in m.
 
         Rows end on the rectangle's edges, and the last row lies on its north edge.
@@ -242,6 +250,9 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         float,
         Meta(ge=0, le=1000, description="a number from 0 up to 1000: 1 real time, 0 as fast as possible"),
     ] = 10.0
+    problem: Annotated[
+        Problem, Meta(description="what is searched, where and from what knowledge; default: Table 1's")
+    ] = PAPER
     scenario: ScenarioPart = ScenarioPart()
     vehicle: VehiclePart = VehiclePart()
     sensor: Annotated[
@@ -268,11 +279,11 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         given = {
             name: value for name, value in msgspec.structs.asdict(self.scenario).items() if value is not None
         }
-        return msgspec.structs.replace(draw(self.seed), **given)
+        return msgspec.structs.replace(draw(self.seed, self.problem), **given)
 
     def simulated(self) -> World:
         """Return the simulated world of the mission; it holds the truth."""
-        return World(self.release(), self.seed, sensor.parse(self.sensor), self.world)
+        return World(self.release(), self.seed, sensor.parse(self.sensor), self.world, self.problem)
 
     def vehicle_config(self, sysid: int) -> VehicleConfig:
         """Return the vehicle's configuration; a companion's silence becomes simulation time.
@@ -284,14 +295,17 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         del fields["after_stop"], fields["strict"]
         factor = self.speedup or 1.0
         fields["silence_s"] *= factor
-        return VehicleConfig(sysid, stream_s=STREAM_S * factor if self.vehicle.strict else math.inf, **fields)
+        fields["area"] = self.problem.area
+        return VehicleConfig(
+            sysid=sysid, stream_s=STREAM_S * factor if self.vehicle.strict else math.inf, **fields
+        )
 
     @property
     def expectations(self) -> list[Expectation]:
         """The expectations, as a list."""
         return [self.expect] if isinstance(self.expect, str) else self.expect
 
-    def scripted(self) -> dict[int, Point]:
+    def scripted(self) -> dict[int, Place]:
         """Return the scripted waypoints, by the step of the reading that each answers."""
         return {
             step: point
@@ -310,14 +324,40 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         )
 
     def changed(self, changes: Mapping[str, Any]) -> "Script":
-        """Return a copy with fields replaced, such as {"seed": 2, "agent.policy": "homing"}."""
+        """Return a copy with fields replaced, such as {"seed": 2, "agent.policy": "homing"}.
+
+        What both the problem and another field say, such as its sensor, is replaced in both; a new problem
+        brings its own. Raises ValueError where the problem does not allow it.
+        """
         script = self
-        for name, value in changes.items():
+        changes = {**(_of_problem(changes["problem"]) if "problem" in changes else {}), **changes}
+        if changes.get("estimator.threshold_m") is not None:
+            changes["estimator.stop"] = None  # it is the short form
+        for name, value in sorted(changes.items(), key=lambda change: change[1] is not None):
             part, _, field = name.rpartition(".")
             if part:
                 value = msgspec.structs.replace(getattr(script, part), **{field: value})
             script = msgspec.structs.replace(script, **{part or field: value})
-        return script
+        said: dict[str, Any] = {"dwell_s": None} if "sensor" in changes else {}
+        for field, name in SAME.items():
+            if name in changes and changes[name] is not None:
+                said[field] = changes[name]
+        if changes.get("estimator.threshold_m") is not None:
+            said["stop"] = script.estimator.criterion
+        return msgspec.structs.replace(script, problem=script.problem.changed(**said)) if said else script
+
+
+def _of_problem(problem: Problem) -> dict[str, Any]:
+    """Return the fields of a script that say the same as a problem."""
+    return {
+        "sensor": sensor_text(problem),
+        "world": problem.world,
+        "agent.budget": problem.budget,
+        "agent.step_m": None if problem.step_m == PAPER.step_m else problem.step_m,
+        "estimator.threshold_m": None,
+        "estimator.stop": None if problem.stop == PAPER.stop else problem.stop,
+        "vehicle.takeoff_altitude_m": problem.altitude_m,
+    }
 
 
 def shipped() -> dict[str, Path]:
@@ -358,13 +398,14 @@ def load(mission: str | Path) -> Script:
             f"{document.path}: "
             + ", ".join(f"{word!r} is an old word, read as {OLD_WORDS[word]!r}" for word in old)
         )
-    script = document.to(Script)
+    script = _agreed(document, document.to(Script))
     checks: dict[str, Callable[[str], object]] = {"sensor": sensor.parse, "world": check}
     for field, parse in checks.items():
         try:
             parse(getattr(script, field))
         except ValueError as error:
             raise document.error([field], str(error)) from None
+    check_places(document, script)
     taken: dict[int, int] = {}
     for number, event in enumerate(script.events):
         _check(document, number, event)
@@ -386,6 +427,62 @@ def load(mission: str | Path) -> Script:
             "'none' is not allowed; wanted a policy, or scripted waypoints from step 0 on without a gap",
         )
     return script
+
+
+def _agreed(document: Document, script: Script) -> Script:
+    """Return a script whose problem and other fields say the same; the others come first. Raises BadInput."""
+
+    def given(name: str) -> Any:
+        value: Any = document.value
+        for field in name.split("."):
+            value = value.get(field) if isinstance(value, dict) else None
+        return value
+
+    names = [*SAME.values(), "estimator.threshold_m"]
+    written = {name: _at(script, name) for name in names if given(name) is not None}
+    for name, value in written.items():
+        try:
+            script.changed({name: value})
+        except ValueError as error:
+            raise document.error(name.split("."), str(error).partition(": ")[2]) from None
+    try:
+        check_problem(script.problem)
+    except ValueError as error:
+        raise document.error(["problem"], str(error)) from None
+    return script.changed({"problem": script.problem, **written})
+
+
+def _at(script: Script, name: str) -> Any:
+    part, _, field = name.rpartition(".")
+    return getattr(getattr(script, part) if part else script, field)
+
+
+def check_places(document: Document, script: Script) -> None:
+    """Refuse places that are not in the problem's area. Raises BadInput."""
+    area = script.problem.area
+    start, source = script.scenario.start, script.scenario.source
+    if start and not area.holds(start):
+        raise document.error(
+            ["scenario", "start"], f"{list(start)} is not allowed; wanted (x, y) m in {area.text}"
+        )
+    (width_m, height_m), (x, y) = area.size_m, source or area.low
+    if not (abs(x - area.low[0] - width_m / 2) <= 1.5 * width_m) or not (
+        abs(y - area.low[1] - height_m / 2) <= 1.5 * height_m
+    ):
+        raise document.error(
+            ["scenario", "source"],
+            f"{[x, y]} is not allowed; wanted (x, y) m, up to an area's side beyond {area.text}",
+        )
+    for number, event in enumerate(script.events):
+        if not isinstance(event, Waypoints | Lawnmower):
+            continue
+        for at, place in enumerate(event.path()):
+            if not area.holds(place):
+                field = ["points", at] if isinstance(event, Waypoints) else ["high"]
+                raise document.error(
+                    ["events", number, *field],
+                    f"{list(place)} is not allowed; wanted places in the area, {area.text}",
+                )
 
 
 def _renamed(value: Any) -> list[str]:

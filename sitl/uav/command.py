@@ -1,12 +1,14 @@
 """`plumeward uav`: one vehicle alone, simulated or real."""
 
 import argparse
+import shlex
 from importlib import import_module
 
 from aircraft.search.command import Orders, fly
 from aircraft.search.events import OnBoard
 from aircraft.search.options import add_vehicle_url
 from link import cli
+from plume.problem import PAPER
 from sitl.autopilot.vehicle import Vehicle
 from sitl.script.options import script_for_vehicle, script_of
 from sitl.uav.options import add_vehicle_arguments, at_own_home
@@ -28,6 +30,8 @@ def run(args: argparse.Namespace) -> int:
     script = script_for_vehicle(script_of(args), args)
     chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
     chosen += "" if script.estimator.assume == "field" else f" --assume {script.estimator.assume}"
+    if (told := script.problem.told) != PAPER:
+        chosen += f" --problem {shlex.quote(told.text)}"
     orders = Orders(
         script.simulated(),
         script.speedup,

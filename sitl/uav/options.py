@@ -45,8 +45,8 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
         "--home",
         type=_home,
         metavar="LAT,LON,ALT,HEADING",
-        help="where home is, the south-west corner of the search area (default: Zurich, each -I 40 m further "
-        "east)",
+        help="where home is, the origin of the search area, in the paper's problem its south-west corner "
+        "(default: Zurich, each -I 40 m further east)",
     )
     parser.add_argument(
         "--out",
@@ -93,7 +93,8 @@ def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:
     usual = VehicleConfig()
     if (config.home_lat_deg, config.home_lon_deg) != (usual.home_lat_deg, usual.home_lon_deg):
         return config
-    lat_deg, lon_deg = to_global(usual.home_lat_deg, usual.home_lon_deg, 0.0, HOMES_APART_M * instance)
+    apart_m = max(HOMES_APART_M, config.flown.size_m[0] + HOMES_APART_M / 4)
+    lat_deg, lon_deg = to_global(usual.home_lat_deg, usual.home_lon_deg, 0.0, apart_m * instance)
     return replace(config, home_lat_deg=lat_deg, home_lon_deg=lon_deg)
 
 

@@ -176,23 +176,28 @@ def test_only_planners_take_flags_that_say_how_to_move(tmp_path: Path, plug: Plu
         (("--area", "0"), "--area: '0' is not allowed; wanted a number above 0 up to 100000"),
         (
             ("--area", "50", "--policy", "a.zip"),
-            "--area: 50 is not allowed with a.zip; learned policies see the area that they were",
+            "--problem: the area [0, 50] x [0, 50] m is not allowed with a learned policy; it was trained in the",
         ),
         (
             ("--area", "10", "--policy", "ppo"),
-            "--area: 10 is not allowed with ppo; learned policies see the area that they were trained in, 30 m",
+            "--problem: the area [0, 10] x [0, 10] m is not allowed with a learned policy; it was trained in the "
+            "area [0, 30] x [0, 30] m, in steps of 1 m, with the source expected in [0, 30] x [0, 30] m",
+        ),
+        (
+            ("--problem", '{"step_m": 2}', "--policy", "ppo"),
+            "--problem: a step of 2 m is not allowed with a learned policy",
         ),
         (
             ("--waypoints", "0:1,30.5"),
-            "--waypoints: '0:1,30.5' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 30 m",
+            "--waypoints: '0:1,30.5' is not allowed; wanted STEP:X,Y;X,Y;... with places in the area, [0, 30] x [0, 30] m",
         ),
         (
             ("--area", "50", "--waypoints", "0:1,50.5"),
-            "'0:1,50.5' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 50 m",
+            "'0:1,50.5' is not allowed; wanted STEP:X,Y;X,Y;... with places in the area, [0, 50] x [0, 50] m",
         ),
         (
             ("--area", "20", "--waypoints", "0:1,25"),
-            "'0:1,25' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 20 m",
+            "'0:1,25' is not allowed; wanted STEP:X,Y;X,Y;... with places in the area, [0, 20] x [0, 20] m",
         ),
         (("--waypoints", "0:nan,1"), "--waypoints: '0:nan,1' is not allowed"),
         (("--waypoints=-1:2,1",), "--waypoints: '-1:2,1' is not allowed"),
@@ -247,7 +252,7 @@ def test_scripted_waypoints_may_lie_in_all_of_the_area() -> None:
 
 
 def test_no_waypoint_is_rounded_out_of_the_area(plug: Plug, seen: tuple[Belief, Particles]) -> None:
-    plug("def theirs(belief, particles, reach, rng): return 1e9, reach.area_m")
+    plug("def theirs(belief, particles, reach, rng): return 1e9, reach.area.high[1]")
     reached = parse("agent", ["--policy", "theirs", "--area", "30.1", "--waypoints", "0:30.1,30.1"])
     assert np.float32(30.1).item() > 30.1
     below = np.nextafter(np.float32(30.1), np.float32(0)).item()

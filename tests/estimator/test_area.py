@@ -13,6 +13,7 @@ from estimator.admission import refusal
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
+from plume.problem import AREA, square
 from plume.scenario import Scenario
 from plume.worlds.world import World
 
@@ -30,8 +31,8 @@ def chosen(monkeypatch: pytest.MonkeyPatch, *flags: str) -> Config:
 
 
 def test_it_is_30_m_or_what_the_command_line_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert chosen(monkeypatch).area_m == 30.0
-    assert chosen(monkeypatch, "--area", "80").area_m == SIDE_M
+    assert chosen(monkeypatch).area == AREA
+    assert chosen(monkeypatch, "--area", "80").area == square(SIDE_M)
 
 
 @pytest.mark.parametrize("side", ["0", "-5", "nan", "wide", "1e6"])
@@ -59,7 +60,9 @@ def test_a_prior_of_the_location_must_leave_something_of_it(
 
 def test_the_prior_fills_it() -> None:
     counts, _, _ = np.histogram2d(
-        *prior(Config(particles=4000, area_m=SIDE_M)).particles, bins=4, range=[[0, SIDE_M], [0, SIDE_M]]
+        *prior(Config(particles=4000, area=square(SIDE_M))).particles,
+        bins=4,
+        range=[[0, SIDE_M], [0, SIDE_M]],
     )
     assert counts.sum() == 4000
     assert (
@@ -69,13 +72,13 @@ def test_the_prior_fills_it() -> None:
 
 @pytest.mark.parametrize(("x", "kind"), [(79.9, None), (80.1, "outside"), (-0.1, "outside")])
 def test_readings_from_within_it_are_admitted(x: float, kind: str | None) -> None:
-    refused = refusal(Reading(1000, (x, 40.0), 5.0, (1.0, 0.5), 0.5), None, Config(area_m=SIDE_M))
+    refused = refusal(Reading(1000, (x, 40.0), 5.0, (1.0, 0.5), 0.5), None, Config(area=square(SIDE_M)))
     assert (refused and refused[0]) == kind
 
 
 def test_a_source_far_off_in_it_is_found_and_no_particle_leaves_it() -> None:
     s = Scenario(source=(66.0, 78.5), q=300.0, u=2.0, phi=4.0, d=4.0, tau=10.0, start=(0.0, 0.0))
-    world, config = World(s, 3), Config(rate=s.q, diffusivity=s.d, lifetime=s.tau, area_m=SIDE_M)
+    world, config = World(s, 3), Config(rate=s.q, diffusivity=s.d, lifetime=s.tau, area=square(SIDE_M))
     posterior = prior(config)
     path = [(x, y) for y in (70.0, 74.0, 77.0, 79.0) for x in np.linspace(50.0, 80.0, 31).tolist()]
     for step, place in enumerate(path):

@@ -7,6 +7,7 @@ import pytest
 
 from estimator.filter import Config, prior
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform, parse, text
+from plume.problem import square
 
 EIGHT: dict[str, Prior] = {
     "z": Uniform(0.0, 5.0),
@@ -65,7 +66,7 @@ def test_under_field_the_source_may_be_outside_the_area_where_it_is_less_likely(
         ({"assume": "paper"}, (0, 30)),
         ({"assume": "paper", "margin_m": 4.0}, (-4, 34)),
         ({"assume": "field", "margin_m": 0.0}, (0, 30)),
-        ({"assume": "field", "area_m": 90.0}, (-30, 120)),
+        ({"assume": "field", "area": square(90.0)}, (-30, 120)),
         ({"assume": "field", "priors": {"x": Uniform(-30, 25)}}, (-10, 25)),
     ],
 )

@@ -199,9 +199,7 @@ def test_readings_at_saturation_are_no_value_that_a_faulty_sensor_repeats() -> N
 
 
 def test_the_filter_finds_the_posterior_of_a_grid_with_a_sensor_that_lags() -> None:
-    config = Config(
-        4000, rate=RATE, diffusivity=DIFFUSIVITY, lifetime=LIFETIME, sensor=parse("pid"), area_m=30.0
-    )
+    config = Config(4000, rate=RATE, diffusivity=DIFFUSIVITY, lifetime=LIFETIME, sensor=parse("pid"))
     posterior, row = prior(config), None
     cells = (np.arange(300) + 0.5) / 10
     grid = np.stack(np.meshgrid(cells, cells)).reshape(2, -1)

@@ -5,7 +5,8 @@ import json
 import msgspec
 import pytest
 
-from plume.outcome import TracePoint, beyond, gas_lines, outcome, outcome_json, outcome_text, verdict
+from plume.outcome import TracePoint, gas_lines, outcome, outcome_json, outcome_text, verdict
+from plume.problem import AREA
 from plume.scenario import Scenario
 
 SCENARIO = Scenario(source=(3.0, 4.0), q=100.0, u=1.0, phi=0.0, d=1.0, tau=10.0, start=(0.0, 0.0))
@@ -43,7 +44,7 @@ def test_a_stop_with_the_belief_outside_claims_only_that(
 
 
 def test_it_says_beyond_which_edges_the_estimate_is() -> None:
-    told = {beyond((x, y)): (x, y) for x in (-1.0, 15.0, 31.0) for y in (-1.0, 15.0, 31.0)}
+    told = {AREA.beyond((x, y)): (x, y) for x in (-1.0, 15.0, 31.0) for y in (-1.0, 15.0, 31.0)}
     assert told == {
         "south-west": (-1, -1),
         "west": (-1, 15),

@@ -228,7 +228,7 @@ def test_what_cannot_be_evaluated_is_a_value_error(wrong: dict) -> None:
     [
         (
             {"rate": 250.0},
-            "argument rate=250.0 is not allowed; wanted further knowledge of area_m, margin_m, priors, ",
+            "argument rate=250.0 is not allowed; wanted further knowledge of margin_m, priors, ",
         ),
         ({"ends": False}, "argument ends=False is not allowed; wanted further knowledge of "),
         (

@@ -21,7 +21,7 @@ RELEASE = Release((15.0, 20.0), (2.0, 0.0), 10.0, 1.0, 10.0)
 FIRST = Measurement(0, 10.0, (3.0, 4.0), 0.5, 2.0, (12.0, 9.0), (3.0, 1.0, 3.0))
 """Its covariance has the eigenvalues 4 along (1, 1) and 2 along (1, -1)."""
 SCENE = Scene(
-    Backdrop("uav/1", area_m=30.0, release=RELEASE),
+    Backdrop("uav/1", release=RELEASE),
     time_s=10.0,
     craft=Craft(
         10.0,

@@ -15,6 +15,9 @@ from agent.learn.train.recipes import PRESETS, Recipe
 from agent.trials.progress import NARROW, progress_bar
 from link import cli
 from link.terminal import tell
+from plume.problem import PAPER, Problem
+from plume.problems.names import PROBLEMS
+from plume.problems.options import add_problem_argument
 from plume.randomness import MAX_SEED
 
 KEPT_IN = Path("runs/train")
@@ -39,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     cli.add_assume_argument(parser, "paper")
     cli.add_stop_argument(parser)
+    cli.completed(add_problem_argument(parser), lambda: PROBLEMS, "yaml", "yml")
     parser.add_argument(
         "--steps", type=cli.whole(1, 10**12), metavar="N", help="moves to train on (default: the recipe's)"
     )
@@ -77,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         at_a_time = recipe.moves_at_a_time
         recipe = msgspec.structs.replace(recipe, steps=-(-args.steps // at_a_time) * at_a_time)
     try:
-        recipe = _with_stop(recipe, args.assume, args.stop)
+        recipe = _with_stop(recipe, args.assume, args.stop, args.problem or PAPER)
     except ValueError as error:
         raise cli.BadInput(f"--{error}") from error
     folder: Path = args.out or KEPT_IN / f"{args.algorithm}-{args.preset}-{args.seed}"
@@ -103,10 +107,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _with_stop(recipe: Recipe, assume: str, stop: str | None) -> Recipe:
-    """Return the recipe with another assumption or stop criterion, or unchanged. Raises ValueError."""
+def _with_stop(recipe: Recipe, assume: str, stop: str | None, problem: Problem) -> Recipe:
+    """Return the recipe with another assumption, stop criterion or problem, or unchanged.
+
+    Raises ValueError.
+    """
     changes = {
-        name: value for name, value in (("assume", assume), ("stop", stop)) if value not in ("paper", None)
+        name: value
+        for name, value in (("assume", assume), ("stop", stop), ("problem", problem.text))
+        if value not in ("paper", None)
     }
     if not changes:
         return recipe

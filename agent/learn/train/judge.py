@@ -11,7 +11,6 @@ from agent.bundle import read, write
 from agent.learn.env import Settings
 from agent.trials.evaluate import FIRST_TEST_SEED, named, print_table
 from agent.trials.sweep import Sweep, flown, journal_of, on_cores
-from estimator.criterion import Criterion
 
 
 def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
@@ -28,13 +27,14 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
     if page.evaluation:
         return
     settings = Settings(**page.training["env"])
-    stop = settings.criterion if settings.stop else Criterion(Settings.threshold_m)
+    stop = settings.criterion
     sweep = Sweep(
         [str(bundle)],
         range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios),
         particles,
         (stop,),
         knowledge={"assume": settings.assume},
+        problem=settings.searched,
     )
     journal = journal_of(sweep, bundle.parent)
     workers = os.cpu_count() or 1

@@ -15,6 +15,7 @@ from agent.trials.report.published import PUBLISHED
 from agent.trials.report.results import Results
 from plume.elementary import Array
 from plume.outcome import Outcome, TracePoint
+from plume.problem import AREA
 from plume.scenario import AREA_M, SUCCESS_RADIUS_M
 from scene.drawing import ESTIMATE, INK, SOURCE, START, plume, ticks
 from scene.scene import Release
@@ -156,7 +157,7 @@ def trajectories(flights: Sequence[Trial]) -> Figure:
     for ax, (result, trace) in zip(grid.ravel(), flights, strict=False):
         assert result.scenario is not None  # an in-process mission knows it
         assert result.source is not None
-        shades = plume(ax, Release.of(result.scenario), AREA_M)
+        shades = plume(ax, Release.of(result.scenario), AREA)
         ax.plot(*_places(trace, "position").T, **PATH)
         ax.plot(*trace[0].position, color=INK, **START)
         ax.plot(*result.source, **SOURCE)

@@ -1,7 +1,7 @@
 // How each thing looks on the map. A view says where metres are in pixels.
 
 import { colours, faded } from "./colours.js";
-import { isPlaced } from "./view.js";
+import { extent, isPlaced } from "./view.js";
 
 const SHADES = 10; // of particles
 const EARLIER = 12; // readings whose winds are shown, pale, behind the newest
@@ -19,7 +19,8 @@ function ticks(view, from, to) {
   return Array.from({ length: Math.min(200, Math.max(0, last - first + 1)) }, (_, i) => Number(((first + i) * step).toPrecision(12)));
 }
 
-export function grid(g, view, width, height, area_m) {
+/** The grid of the window, and the edge of a scene's area. */
+export function grid(g, view, width, height, scene) {
   g.strokeStyle = colours.grid.css;
   g.lineWidth = 1;
   g.beginPath();
@@ -36,7 +37,8 @@ export function grid(g, view, width, height, area_m) {
   g.stroke();
   g.strokeStyle = colours.muted.css;
   g.lineWidth = 1.5;
-  g.strokeRect(view.x(0), view.y(area_m), area_m * view.scale, area_m * view.scale);
+  const area = extent(scene);
+  g.strokeRect(view.x(area.west), view.y(area.north), area.width * view.scale, area.height * view.scale);
 }
 
 /** The numbers of the grid along the left and lower edges. */

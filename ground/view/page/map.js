@@ -4,7 +4,7 @@ import * as draw from "./draw.js";
 import { colours } from "./colours.js";
 import { readings } from "./model.js";
 import { coordinates } from "./words.js";
-import { Camera, followHands, isPlaced, reach, viewOf } from "./view.js";
+import { Camera, extent, followHands, isPlaced, reach, viewOf } from "./view.js";
 
 const FONT = "12px system-ui, sans-serif";
 const SMALL = 16; // px: a belief that reaches less far from the estimate gets an inset
@@ -49,9 +49,9 @@ export class WorldMap {
     g.fillStyle = colours.card.css;
     g.fillRect(0, 0, this.width, this.height);
     if (this.picture) draw.picture(g, view, this.picture);
-    draw.grid(g, view, this.width, this.height, scene.area_m);
+    draw.grid(g, view, this.width, this.height, scene);
     this.drawWorld(g, view, model, others, false);
-    draw.numbers(g, view, this.width, this.height, scene.area_m);
+    draw.numbers(g, view, this.width, this.height);
     draw.scaleBar(g, view, this.width, this.height);
     draw.wind(g, scene.wind, model.measurements, this.width);
     this.inset = this.insetOf(scene, view);
@@ -125,7 +125,8 @@ export class WorldMap {
       this.plume.getContext("2d").putImageData(image, 0, 0);
       model.fresh.plume = false;
     }
-    g.drawImage(this.plume, view.x(0), view.y(scene.area_m), scene.area_m * view.scale, scene.area_m * view.scale);
+    const { west, north, width, height } = extent(scene);
+    g.drawImage(this.plume, view.x(west), view.y(north), width * view.scale, height * view.scale);
   }
 
   /** Say what is under the pointer. */
@@ -146,9 +147,10 @@ export class WorldMap {
 }
 
 /** What the map shows, for who cannot see it. */
-function inWords({ area_m, craft, estimate, wind, truth, waypoint }, others) {
+function inWords(scene, others) {
+  const { craft, estimate, wind, truth, waypoint } = scene, { width, height } = extent(scene);
   const at = (x, y) => `(${x.toFixed(1)}, ${y.toFixed(1)})`;
-  const said = [`Map, ${area_m} m square`];
+  const said = [width === height ? `Map, ${width} m square` : `Map, ${width} m by ${height} m`];
   if (isPlaced(craft)) said.push(`vehicle at ${at(craft.x, craft.y)}`);
   for (const { name, scene } of others) if (isPlaced(scene.craft)) said.push(`${name} at ${at(scene.craft.x, scene.craft.y)}`);
   if (waypoint) said.push(`next waypoint ${at(...waypoint)}`);

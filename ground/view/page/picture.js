@@ -1,5 +1,7 @@
 // A picture of people's own beneath the map. It stays in the browser: nothing is sent.
 
+import { extent } from "./view.js";
+
 /** Ask for a picture and its place with a dialog; returns ask(map), which puts it under a map. */
 export function followPicture(dialog, changed) {
   let asked = null;
@@ -17,7 +19,10 @@ export function followPicture(dialog, changed) {
   return (map) => {
     asked = map;
     dialog.returnValue = "";
-    field("width").value ||= map.model?.scene.area_m ?? 30;
+    if (map.model?.scene) {
+      const area = extent(map.model.scene);
+      for (const name of ["west", "south", "width"]) field(name).value ||= area[name];
+    }
     dialog.showModal();
   };
 }

@@ -21,10 +21,22 @@ export function reach(estimate) {
   return estimate.radius_95_m ?? 1.73 * estimate.spread_m;
 }
 
+/** Where a scene's area lies and how long it is, m. */
+export function extent({ area: [west, south, east, north] }) {
+  const width = east - west, height = north - south;
+  return { west, south, east, north, width, height, longer: Math.max(width, height) };
+}
+
+/** How far a place is beyond the area's edges, m; 0 or less inside. */
+function off({ west, south, east, north }, x, y) {
+  return Math.max(west - x, x - east, south - y, y - north);
+}
+
 /** How far the estimate or a true source is beyond the area's edges, m. */
-function beyond({ area_m, estimate, truth }) {
-  const along = [...(estimate ? [estimate.x, estimate.y] : []), ...(truth?.sources ?? []).flat()];
-  return Math.min(area_m, Math.max(0, ...along.map((m) => Math.max(-m, m - area_m)))); // a record may say absurd things
+function beyond(scene) {
+  const area = extent(scene), { estimate, truth } = scene;
+  const places = [...(estimate ? [[estimate.x, estimate.y]] : []), ...(truth?.sources ?? [])];
+  return Math.min(area.longer, Math.max(0, ...places.map(([x, y]) => off(area, x, y)))); // a record may say absurd things
 }
 
 /** The camera of one map. */
@@ -39,17 +51,18 @@ export class Camera {
   view(scene, others, width, height) {
     const room = { left: LEFT, top: TOP, width: Math.max(60, width - LEFT - RIGHT), height: Math.max(60, height - TOP - BOTTOM) };
     this.room = room;
-    this.area_m = scene.area_m;
+    const area = extent(scene);
+    this.longer = area.longer;
     if (this.mode === "belief" && !scene.estimate) this.mode = "all";
     if (this.mode === "belief") {
       const side = Math.max(2 * SMALLEST_M, 3 * reach(scene.estimate));
       this.at = [scene.estimate.x, scene.estimate.y];
       this.scale = Math.min(room.width, room.height) / side;
     } else if (this.mode === "all") {
-      const edge = Math.max(scene.area_m * 0.02, 1.5 * beyond(scene));
-      let [west, south, east, north] = [-edge, -edge, scene.area_m + edge, scene.area_m + edge];
+      const edge = Math.max(area.longer * 0.02, 1.5 * beyond(scene));
+      let [west, south, east, north] = [area.west - edge, area.south - edge, area.east + edge, area.north + edge];
       for (const { craft } of [scene, ...others]) {
-        if (!isPlaced(craft) || Math.max(Math.abs(craft.x), Math.abs(craft.y)) > 5 * scene.area_m) continue;
+        if (!isPlaced(craft) || off(area, craft.x, craft.y) > 4 * area.longer) continue;
         [west, south, east, north] = [Math.min(west, craft.x - edge), Math.min(south, craft.y - edge), Math.max(east, craft.x + edge), Math.max(north, craft.y + edge)];
       }
       this.at = [(west + east) / 2, (south + north) / 2];
@@ -60,7 +73,7 @@ export class Camera {
 
   /** Zoom by a factor; what is at a pixel stays there. */
   zoom(view, factor, px = view.left + view.width / 2, py = view.top + view.height / 2) {
-    const least = Math.min(view.width, view.height) / (LARGEST * this.area_m), most = Math.min(view.width, view.height) / SMALLEST_M;
+    const least = Math.min(view.width, view.height) / (LARGEST * this.longer), most = Math.min(view.width, view.height) / SMALLEST_M;
     const scale = Math.min(most, Math.max(least, this.scale * factor));
     const [x, y] = [view.east(px), view.north(py)], kept = 1 - this.scale / scale;
     this.at = [this.at[0] + (x - this.at[0]) * kept, this.at[1] + (y - this.at[1]) * kept];

@@ -24,6 +24,7 @@ import plumeward  # noqa: F401  registers the environments
 from agent.learn.env import TRAINING_SEEDS, SourceSearch, SourceSearchVector
 from agent.observation import BOUND, SCHEMAS
 from link.bus.messages import Belief, Particles
+from plume.problem import AREA, Area, Problem
 from plume.scenario import AREA_M, draw
 from plume.worlds.names import OURS
 from plume.worlds.world import World
@@ -157,7 +158,7 @@ def test_a_stop_at_the_last_step_of_the_budget_terminates_and_does_not_truncate(
 
 def test_the_budget_is_300_moves_and_zeta_half_a_metre_as_elsewhere() -> None:
     settings = SourceSearch().settings
-    assert (settings.budget, settings.threshold_m, settings.particles) == (300, 0.5, 500)
+    assert (settings.searched.budget, settings.threshold_m, settings.particles) == (300, 0.5, 500)
     assert (settings.assume, settings.criterion.text) == ("paper", "spread:0.5")
     assert SourceSearch(stop="within:2,0.9").settings.criterion.text == "within:2,0.9"
 
@@ -262,7 +263,7 @@ def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(
     def choose(_policy: str, said: Belief, particles: Particles, *_: Any) -> tuple[float, float]:
         _, frame = SCHEMAS["polar"].see(said, particles)
         action = second if said.step % 3 == 2 else first
-        x, y = env.settings.move.waypoints(np.array([said.position]), frame[None], action[None], AREA_M)[
+        x, y = env.settings.move.waypoints(np.array([said.position]), frame[None], action[None], AREA)[
             0
         ].tolist()
         return x, y
@@ -328,7 +329,7 @@ def test_a_reset_of_many_begins_a_seed_and_those_after_it_or_those_that_are_name
             several.reset(seed=seeds)
 
 
-def test_a_reset_has_no_options_and_says_so() -> None:
+def test_a_reset_has_no_option_but_a_problem_and_says_so() -> None:
     for env in (make(), SourceSearchVector(3, **QUICK)):
         for none in (None, {}):
             env.reset(seed=1, options=none)
@@ -336,6 +337,38 @@ def test_a_reset_has_no_options_and_says_so() -> None:
             ValueError, match=r"^options \{'start': \(1.0, 2.0\)\} are not allowed; wanted none: "
         ):
             env.reset(seed=1, options={"start": (1.0, 2.0)})
+        with pytest.raises(ValueError, match=r"step_m: 20.0 is not allowed; wanted above 0 up to 10 m"):
+            env.reset(seed=1, options={"problem": {"step_m": 20}})
+
+
+FIELD = Problem(area=Area((-20, 0), (80, 50)), step_m=2, prior=Area((30, 0), (80, 50)), budget=9)
+
+
+def test_a_reset_with_a_problem_flies_it_until_the_next_reset() -> None:
+    """To the last bit as an environment that was made for it, and as rollout."""
+    actions = [3, 5, 9, 0]
+    made, reset, several = make(problem=FIELD), make(), SourceSearchVector(2, **QUICK)
+    options = {"problem": FIELD}
+    seen = [made.reset(seed=3)[0], reset.reset(seed=3, options=options)[0]]
+    assert seen[0].tobytes() == seen[1].tobytes() == several.reset(seed=3, options=options)[0][0].tobytes()
+    first = next(agent.trials.rollout.mission(3, "random", QUICK["particles"], 0.5, problem=FIELD).steps)
+    place = np.array(first.belief.position)
+    for action in actions:
+        (one, *_, told), (other, *_) = made.step(action), reset.step(action)
+        both, *_ = several.step(np.array([action, action]))
+        assert one.tobytes() == other.tobytes() == both[0].tobytes()
+        assert np.linalg.norm(told["position"] - place) == pytest.approx(2.0, abs=1e-5)
+        place = told["position"]
+        assert FIELD.area.holds(place)
+    usual = make().reset(seed=3)[0].tobytes()
+    assert reset.reset(seed=3)[0].tobytes() == usual == several.reset(seed=3)[0][0].tobytes()
+
+
+def test_the_budget_is_the_problems() -> None:
+    env = make(problem=FIELD)
+    env.reset(seed=3)
+    ended = [env.step(0)[3] for _ in range(9)]
+    assert ended == [False] * 8 + [True]
 
 
 class Highest:

@@ -12,13 +12,14 @@ import plume.worlds.air
 from agent.learn.missions import Missions
 from agent.observation import DIFFUSIVITY, FACTS, GAS, LIFETIME, RATE, SCHEMAS, X
 from agent.planning.moves import Headings
-from agent.trials.rollout import ALTITUDE_M, mission
+from agent.trials.rollout import mission
 from estimator.belief import belief
 from estimator.criterion import Criterion
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
+from plume.problem import ALTITUDE_M, AREA
 from plume.randomness import derived_seed, keyed
-from plume.scenario import AREA_M, SUCCESS_RADIUS_M, draw
+from plume.scenario import SUCCESS_RADIUS_M, draw
 from plume.sensors.sensor import Gaussian
 from plume.worlds.world import World
 
@@ -60,7 +61,7 @@ class Alone:
 
     def move(self) -> None:
         action = np.array([action_of(self.seed, self.step)])
-        place = MOVE.waypoints(np.array([self.position]), self.frame[None], action, AREA_M)[0]
+        place = MOVE.waypoints(np.array([self.position]), self.frame[None], action, AREA)[0]
         self.distance_m += float(np.linalg.norm(place - self.position))
         self.position = tuple(place.tolist())
         self.step += 1
@@ -109,7 +110,7 @@ def fly(missions: Missions) -> None:
         action_of(seed, step)
         for seed, step in zip(missions.seeds.tolist(), missions.steps.tolist(), strict=True)
     ]
-    missions.move(MOVE.waypoints(missions.positions, missions.frames, np.array(actions), AREA_M))
+    missions.move(MOVE.waypoints(missions.positions, missions.frames, np.array(actions), AREA))
 
 
 def together(

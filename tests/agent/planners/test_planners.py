@@ -23,6 +23,7 @@ from agent.planning.predict import (
 )
 from link.bus.messages import Belief
 from plume.dispersion import concentration
+from plume.problem import square
 from plume.sensors.names import GAUSSIAN, Sensor, text
 from plume.sensors.sensor import Gaussian, Hits, Threshold
 
@@ -553,7 +554,7 @@ def test_decisions_do_not_depend_on_the_unit_of_length(name: str) -> None:
         )
         scaled = (particles * np.array([8, 8, 1])).astype(np.float32)
         near = reach(name, {"step": 2.0})
-        far = reach(name, {"step": 16.0, "area_m": 8 * near.area_m})
+        far = reach(name, {"step": 16.0}, square(8 * near.area.side_m))
         chosen = [
             planner(name)(belief, cloud, it.fitted(belief), np.random.default_rng(seed))
             for belief, cloud, it in ((small, particles, near), (large, scaled, far))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
-from plume.scenario import AREA_M
+from plume.problem import AREA, square
 from tests.agent.planners.test_planners import belief_at
 
 EAST, NORTH, SLANTED = (1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (0.6, 0.8, 1.0)
@@ -21,7 +21,7 @@ def lead(
     move: Move, position: tuple[float, float], frame: tuple[float, float, float], action: object
 ) -> list[float]:
     """The waypoint of one action."""
-    place = move.waypoints(np.array([position]), np.array([frame]), np.array([action]), AREA_M)
+    place = move.waypoints(np.array([position]), np.array([frame]), np.array([action]), AREA)
     assert place.shape == (1, 2)
     return place[0].tolist()
 
@@ -106,22 +106,22 @@ def moves_of(count: int) -> list[tuple[Move, np.ndarray, np.ndarray, np.ndarray]
 
 def test_waypoints_are_float32_values_as_the_wire_carries_them() -> None:
     for move, positions, frames, actions in moves_of(100):
-        places = move.waypoints(positions, frames, actions, AREA_M)
+        places = move.waypoints(positions, frames, actions, AREA)
         assert places.dtype == np.float64
         assert (places.astype(np.float32) == places).all()
 
 
 def test_moves_are_as_long_as_they_say() -> None:
     for move, positions, frames, actions in moves_of(100):
-        lengths = np.linalg.norm(move.waypoints(positions, frames, actions, AREA_M) - positions, axis=1)
+        lengths = np.linalg.norm(move.waypoints(positions, frames, actions, AREA) - positions, axis=1)
         expected = np.ones(100) if actions.ndim == 1 else (actions[:, 1] + 1) / 2
         assert lengths == pytest.approx(expected, abs=1e-5)
 
 
 def test_one_move_leads_to_the_same_bits_as_among_many() -> None:
     for move, positions, frames, actions in moves_of(261):
-        together = move.waypoints(positions, frames, actions, AREA_M)
-        alone = [move.waypoints(positions[[i]], frames[[i]], actions[[i]], AREA_M)[0] for i in range(261)]
+        together = move.waypoints(positions, frames, actions, AREA)
+        alone = [move.waypoints(positions[[i]], frames[[i]], actions[[i]], AREA)[0] for i in range(261)]
         assert together.tobytes() == np.array(alone).tobytes()
 
 
@@ -158,7 +158,7 @@ def test_moves_are_short_where_the_belief_is_narrow(
     area_m: float, step_m: float, spread_m: float, flown_m: float
 ) -> None:
     belief = msgspec.structs.replace(belief_at((5.0, 6.0)), spread=spread_m)
-    reach = Reach(headings=8, step=step_m, area_m=area_m)
+    reach = Reach(headings=8, step=step_m, area=square(area_m))
     assert reach.fitted(belief).step == step_m
     assert replace(reach, fits=True).fitted(belief) == replace(
         reach, fits=True, step=pytest.approx(flown_m, rel=1e-12)

@@ -2,6 +2,8 @@
 battery low, and the fence.
 """
 
+import math
+
 import pytest
 
 from aircraft.firmware import ARDUCOPTER, PX4
@@ -12,7 +14,7 @@ RETURNS = {"COM_OBL_RC_ACT": 3.0, "COM_OF_LOSS_T": 1.5, "NAV_DLL_ACT": 0.0, "COM
 
 
 def said(firmware, parameters: dict[str, float], system: int = 1) -> dict[str, Check]:
-    return {line.about: line for line in checks(firmware, parameters, system, 30.0, 5.0)}
+    return {line.about: line for line in checks(firmware, parameters, system, math.hypot(30.0, 30.0), 5.0)}
 
 
 def if_killed(firmware, parameters: dict[str, float], system: int = 1) -> Check:

@@ -12,8 +12,9 @@ from ground.findings.flight import Flight
 from ground.findings.unseen import CLEAR, Supposed, smallest_rate, smallest_rates, spike_density
 from plume.dispersion import concentration
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
-from plume.response import settled_readings
+from plume.problem import AREA
 from plume.sensors.names import GAUSSIAN, KINDS, parse, sensor_row
+from plume.sensors.response import settled_readings
 from tests.ground.findings.records import FOUND, GOLDEN, findings
 
 SOURCE = (14.0, 17.0)
@@ -99,7 +100,7 @@ def test_more_readings_see_weaker_sources() -> None:
 @pytest.mark.parametrize("name", KINDS)
 def test_there_is_a_map_for_every_sensor(name: str) -> None:
     it = findings()
-    found = smallest_rates(crosswind(), it.told._replace(sensor=parse(name)), 30.0, flights=20)
+    found = smallest_rates(crosswind(), it.told._replace(sensor=parse(name)), AREA, flights=20)
     assert found
     assert found.rates_gs.shape == (15, 15)
     assert np.isfinite(found.rates_gs).any()
@@ -109,6 +110,6 @@ def test_there_is_a_map_for_every_sensor(name: str) -> None:
 def test_a_long_flight_is_thinned_and_says_so() -> None:
     of, it = crosswind(), findings()
     long = of._replace(samples=of.samples * 400)
-    found = smallest_rates(long, it.told, 30.0, flights=2)
+    found = smallest_rates(long, it.told, AREA, flights=2)
     assert found
     assert found.every == 3

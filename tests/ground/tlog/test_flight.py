@@ -22,6 +22,7 @@ from link.bus.mavlink import Reading, unpack_reading
 from link.cli import BadInput
 from plume.dispersion import concentration
 from plume.geodesy import to_global
+from plume.problem import square
 from plume.scenario import Scenario
 from plume.sensors.names import GAUSSIAN
 from plume.worlds.world import World
@@ -707,7 +708,7 @@ def test_the_source_of_a_lawnmower_flight_is_found(tmp_path: Path) -> None:
     flight = read(log.write(tmp_path), gas="CH4")
     assert flight.area_m == 30.0
     assert flight.origin[:2] == pytest.approx((0.0, 0.0), abs=0.02)  # the lanes lie in the middle of the area
-    config = Config(rate=s.q, diffusivity=s.d, lifetime=s.tau, area_m=flight.area_m)
+    config = Config(rate=s.q, diffusivity=s.d, lifetime=s.tau, area=square(flight.area_m))
     posterior = prior(config)
     for reading in readings(flight):
         posterior = assimilate(posterior, reading, config)

@@ -137,7 +137,6 @@ def test_time_does_not_run_backwards():
     "wrong",
     [
         {"sysid": 0},
-        {"area_m": -1.0},
         {"speed_mps": NAN},
         {"takeoff_altitude_m": 121.0},
         {"home_lat_deg": 91.0},

@@ -1,0 +1,317 @@
+"""A problem: where a search flies, what it knows beforehand, and what its missions are drawn from.
+
+Metres, x east and y north of home. `paper` is the paper's Table 1, and the default everywhere.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import ArrayLike, NDArray
+
+from plume.elementary import Array
+from plume.parameters import LIMITS
+from plume.scenario import (
+    AREA_M,
+    AS_MODELLED,
+    BUDGET_STEPS,
+    DIFFUSIVITIES,
+    LIFETIME_S,
+    RATES,
+    SOURCE_HIGH_M,
+    SOURCE_LOW_M,
+    STEP_M,
+    WIND_FROM,
+    WIND_SPEEDS,
+)
+
+FARTHEST_M = 100_000.0  # greatest coordinate: further out, float32 on the wire is coarser than a centimetre
+SHORTEST_M = 1.0  # least side of an area
+MOST_STEPS = 1_000_000
+LONGEST_DWELL_S = 600.0
+CEILING_M = 120.0  # highest altitude of a search above home
+ALTITUDE_M = 5.0
+PARTS = 3  # a step is at most this part of the area's shorter side: from everywhere there is a way to go
+STOP = re.compile(r"spread:[^,]+|within:[^,]+,[^,]+")  # the form of --stop; `estimator.criterion` reads it
+
+Coordinate = Annotated[
+    float, Meta(ge=-FARTHEST_M, le=FARTHEST_M, description="a number from -100000 to 100000, m")
+]
+Place = tuple[Coordinate, Coordinate]
+Number = Annotated[float, Meta(description="a number")]
+Span = Number | tuple[Number, Number]  # a value, or the least and the greatest of a uniform distribution
+
+
+class Area(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A rectangle along the axes. Raises ValueError, one line, if its corners are not allowed.
+
+    Example: `plumeward.Area(low=(-50, 0), high=(150, 80))` lies 200 m from west to east.
+    """
+
+    low: Annotated[Place, Meta(description="its south-west corner, (x, y) m, each from -100000 to 100000")]
+    high: Annotated[Place, Meta(description="its north-east corner, (x, y) m, each from -100000 to 100000")]
+
+    def __post_init__(self) -> None:
+        for name, corner in (("low", self.low), ("high", self.high)):
+            if len(corner) != 2 or not all(-FARTHEST_M <= part <= FARTHEST_M for part in corner):
+                raise ValueError(
+                    f"{name}: {_listed(corner)} is not allowed; wanted (x, y), each from {-FARTHEST_M:g} to "
+                    f"{FARTHEST_M:g} m"
+                )
+        if not (self.low[0] < self.high[0] and self.low[1] < self.high[1]):
+            raise ValueError(
+                f"high: {_listed(self.high)} is not allowed; wanted a corner north-east of low, "
+                f"{_listed(self.low)}"
+            )
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Its extent from west to east and from south to north."""
+        return self.high[0] - self.low[0], self.high[1] - self.low[1]
+
+    @property
+    def side_m(self) -> float:
+        """The side of a square that is as large."""
+        width_m, height_m = self.size_m
+        return math.sqrt(width_m * height_m)
+
+    @property
+    def text(self) -> str:
+        """In words: `[0, 30] x [0, 30] m`."""
+        ends = zip(self.low, self.high, strict=True)
+        return " x ".join(f"[{low:g}, {high:g}]" for low, high in ends) + " m"
+
+    def holds(self, place: Sequence[float]) -> bool:
+        """Whether a place, (x, y) m, is inside; its edges are. NaN is not."""
+        return all(low <= along <= high for low, along, high in zip(self.low, place, self.high, strict=True))
+
+    def held(self, places: Array) -> NDArray[np.bool_]:
+        """Return which of these places (..., 2) m are inside: (...)."""
+        return np.asarray(((places >= self.low) & (places <= self.high)).all(axis=-1))
+
+    def clipped(self, places: ArrayLike) -> Array:
+        """Return the places inside that are nearest to these (..., 2) m: (..., 2)."""
+        return np.clip(places, self.low, self.high)
+
+    def beyond(self, place: Sequence[float]) -> str:
+        """Return beyond which edges a place is: north, north-east, …; empty if it is inside."""
+        x, y = place
+        north = "north" if y > self.high[1] else "south" if y < self.low[1] else ""
+        east = "east" if x > self.high[0] else "west" if x < self.low[0] else ""
+        return "-".join(filter(None, (north, east)))
+
+    def on_the_wire(self) -> "Area":
+        """Return the greatest area within it whose edges are float32 values, as the wire carries them."""
+        low = [_rounded(part, part, 1) for part in self.low]
+        high = [_rounded(part, part, -1) for part in self.high]
+        return Area((low[0], low[1]), (high[0], high[1]))
+
+
+def square(side_m: float) -> Area:
+    """Return the square with its south-west corner at home."""
+    return Area((0.0, 0.0), (side_m, side_m))
+
+
+AREA = square(AREA_M)  # Table 1's
+SOURCES = Area((SOURCE_LOW_M, SOURCE_LOW_M), (SOURCE_HIGH_M, SOURCE_HIGH_M))  # where Table 1 has them
+
+
+class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What is to be searched: the same for scripts, flags, functions and environments.
+
+    What is left out is that of the paper's Table 1. Raises ValueError, one line that names the field, the
+    value and what is allowed.
+
+    Example:
+        ```python
+        field = plumeward.Problem(area=plumeward.Area((-50, 0), (150, 80)), step_m=3)
+        outcome, trace = plumeward.rollout(seed=1, problem=field)
+        ```
+    """
+
+    area: Annotated[Area, Meta(description="where the search flies")] = AREA
+    altitude_m: Annotated[
+        float, Meta(description="height of the search above home, a number above 0 up to 120, m")
+    ] = ALTITUDE_M
+    step_m: Annotated[
+        float, Meta(description="length of a move, above 0 up to a third of the area's shorter side, m")
+    ] = STEP_M
+    dwell_s: Annotated[
+        float | None,
+        Meta(description="hover so long for a reading, 0 to 600 s; default: as the sensor wants"),
+    ] = None
+    start: Annotated[
+        Area | Place | None,
+        Meta(
+            description="where searches begin: (x, y) m, or a rectangle from which the seed draws it; "
+            "default: the south-western sixth of the area"
+        ),
+    ] = None
+    prior: Annotated[
+        Area | None,
+        Meta(
+            description="where the estimator expects the source: a rectangle in the area; default: the area"
+        ),
+    ] = None
+    source: Annotated[
+        Area | Place | None,
+        Meta(
+            description="where it is: (x, y) m, or a rectangle from which the seed draws it; default: where "
+            "it is expected, in Table 1's area Table 1's square, from (10, 10) to (25, 25)"
+        ),
+    ] = None
+    q: Annotated[Span, Meta(description="release rate, or its least and greatest, g/s")] = RATES
+    u: Annotated[Span, Meta(description="wind speed, or its least and greatest, m/s")] = WIND_SPEEDS
+    phi: Annotated[
+        Span,
+        Meta(description="direction the wind comes from, or its ends, counter-clockwise from east, rad"),
+    ] = WIND_FROM
+    d: Annotated[Span, Meta(description="diffusivity, or its least and greatest, m²/s")] = DIFFUSIVITIES
+    tau: Annotated[Span, Meta(description="lifetime of the gas, or its least and greatest, s")] = LIFETIME_S
+    sensor: Annotated[str, Meta(description="the gas sensor, in the form of --sensor")] = "gaussian"
+    world: Annotated[str, Meta(description="how gas moves and the truth differs, in the form of --world")] = (
+        AS_MODELLED
+    )
+    budget: Annotated[int, Meta(description="most moves of a mission, a whole number from 1")] = BUDGET_STEPS
+    stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread:0.5"
+
+    def __post_init__(self) -> None:
+        width_m = min(self.area.size_m)
+        if not width_m >= SHORTEST_M:
+            raise ValueError(
+                f"area: {self.area.text} is not allowed; wanted sides of at least {SHORTEST_M:g} m"
+            )
+        longest_m = width_m / PARTS
+        for name, sound, wanted in (
+            ("altitude_m", 0.0 < self.altitude_m <= CEILING_M, f"above 0 up to {CEILING_M:g} m"),
+            (
+                "step_m",
+                0.0 < self.step_m <= longest_m,
+                f"above 0 up to {longest_m:g} m, a third of the area's shorter side",
+            ),
+            ("dwell_s", 0.0 <= (self.dwell_s or 0.0) <= LONGEST_DWELL_S, f"0 to {LONGEST_DWELL_S:g} s"),
+            ("budget", 1 <= self.budget <= MOST_STEPS, f"a whole number from 1 to {MOST_STEPS:,}"),
+            ("stop", bool(STOP.fullmatch(self.stop)), "spread:Z, metres, or within:R,P, metres and a share"),
+        ):
+            if not sound:
+                raise ValueError(f"{name}: {getattr(self, name)!r} is not allowed; wanted {wanted}")
+        for name in ("q", "u", "phi", "d", "tau"):
+            low, high = span(getattr(self, name))
+            least, most = LIMITS.get(name, (-math.tau, math.tau))
+            if not least <= low <= high <= most:
+                raise ValueError(
+                    f"{name}: {_listed(getattr(self, name))} is not allowed; wanted a number, or the least "
+                    f"and the greatest, from {least:g} to {most:.12g}"
+                )
+        for name, place in (("start", self.start), ("prior", self.prior)):
+            if place is not None and not all(map(self.area.holds, _ends(place))):
+                what = "a place or a rectangle" if name == "start" else "a rectangle"
+                raise ValueError(
+                    f"{name}: {_said(place)} is not allowed; wanted {what} in the area, {self.area.text}"
+                )
+        if self.source is not None and not all(
+            math.isfinite(part) and abs(part) <= FARTHEST_M for end in _ends(self.source) for part in end
+        ):
+            raise ValueError(
+                f"source: {_said(self.source)} is not allowed; wanted (x, y), each from {-FARTHEST_M:g} to "
+                f"{FARTHEST_M:g} m"
+            )
+
+    @property
+    def starts(self) -> Area | Place:
+        """Where searches begin."""
+        if self.start is not None:
+            return self.start
+        (x, y), (width_m, height_m) = self.area.low, self.area.size_m
+        return Area(self.area.low, (x + width_m / 6, y + height_m / 6))
+
+    @property
+    def sources(self) -> Area | Place:
+        """Where the source is drawn."""
+        if self.source is not None:
+            return self.source
+        return SOURCES if self.area == AREA and self.prior is None else self.expected
+
+    @property
+    def expected(self) -> Area:
+        """Where the estimator expects the source."""
+        return self.prior or self.area
+
+    @property
+    def spans(self) -> tuple[Array, Array]:
+        """Least and greatest (8,) of the source's x and y, q, u, φ, d, and the start's x and y."""
+        (source_low, source_high), (start_low, start_high) = _ends(self.sources), _ends(self.starts)
+        release = np.array([span(value) for value in (self.q, self.u, self.phi, self.d)]).T
+        return (
+            np.concatenate([source_low, release[0], start_low]),
+            np.concatenate([source_high, release[1], start_high]),
+        )
+
+    @property
+    def text(self) -> str:
+        """The text that `plume.problems.names` reads back: `paper`, or what differs from it, as JSON."""
+        told = msgspec.convert(msgspec.to_builtins(self), Problem)  # whole numbers become floats
+        changed = {
+            name: value
+            for name, usual in zip(self.__struct_fields__, msgspec.structs.astuple(PAPER), strict=True)
+            if (value := getattr(told, name)) != usual
+        }
+        return msgspec.json.encode(changed).decode() if changed else "paper"
+
+    @property
+    def told(self) -> "Problem":
+        """What services may know of it: not where the source is drawn, nor how the truth differs."""
+        return in_area(self.area, self.prior)
+
+    @property
+    def site(self) -> "Problem":
+        """It without what tables have columns of their own for: step, sensor, world, budget, stop."""
+        usual = PAPER
+        return self.changed(
+            step_m=min(usual.step_m, min(self.area.size_m) / PARTS),
+            sensor=usual.sensor,
+            dwell_s=None,
+            world=usual.world,
+            budget=usual.budget,
+            stop=usual.stop,
+        )
+
+    def changed(self, **changes: Any) -> "Problem":
+        """Return it with other fields. Raises ValueError as a new one does."""
+        return msgspec.structs.replace(self, **changes)
+
+
+def in_area(area: Area, prior: Area | None = None) -> Problem:
+    """Return the paper's problem in another area, with a step that fits. Raises ValueError."""
+    return Problem(area=area, prior=prior, step_m=min(STEP_M, min(area.size_m) / PARTS))
+
+
+def span(value: Span) -> tuple[float, float]:
+    """Return the least and the greatest value."""
+    return value if isinstance(value, tuple) else (value, value)
+
+
+def _ends(place: Area | Place) -> tuple[Place, Place]:
+    return (place.low, place.high) if isinstance(place, Area) else (place, place)
+
+
+def _said(place: Area | Place) -> str:
+    return place.text if isinstance(place, Area) else _listed(place)
+
+
+def _listed(value: float | Sequence[float]) -> str:
+    return f"{value:g}" if isinstance(value, int | float) else f"[{', '.join(f'{part:g}' for part in value)}]"
+
+
+def _rounded(value: float, bound: float, inwards: int) -> float:
+    """Return the float32 nearest to a value that is not beyond `bound`; inwards: 1 is greater, -1 less."""
+    near = np.float32(value)
+    beyond = float(near) < bound if inwards > 0 else float(near) > bound
+    return float(np.nextafter(near, np.float32(inwards * np.inf)) if beyond else near)
+
+
+PAPER = Problem()

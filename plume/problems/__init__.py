@@ -1,0 +1,4 @@
+"""Problems by name, from files and from text.
+
+Imports: plume, plume.sensors, plume.worlds.
+"""

@@ -1,0 +1,138 @@
+"""Problems by name: `paper`, a YAML file, or JSON, as flags, functions and environments take them."""
+
+import difflib
+import os
+import re
+import stat
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import msgspec
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from plume.problem import PAPER, Problem
+from plume.scenario import AS_MODELLED
+from plume.sensors import names as sensors
+from plume.sensors.names import Sensor
+
+PROBLEMS = {"paper": PAPER}
+# What the flag --problem means.
+ABOUT = (
+    "what is searched, where and from what knowledge: paper, or a YAML file of area, step_m, prior and so "
+    "on; other flags override its fields"
+)
+FORMS = "paper, a YAML file, or a JSON object of its fields"
+MOST_BYTES = 100_000
+FIELDS = get_type_hints(Problem, include_extras=True)
+
+
+def named(said: "str | Problem | Mapping[str, Any]") -> Problem:
+    """Return the problem of a name, a file, a JSON text, or fields. Raises ValueError, one line."""
+    if isinstance(said, Problem):
+        check(said)
+        return said
+    if isinstance(said, Mapping):
+        return _made(dict(said))
+    if not isinstance(said, str):
+        raise ValueError(f"problem {said!r:.60} is not allowed; wanted {FORMS}")
+    return _of(said) if said in PROBLEMS or said.lstrip().startswith("{") else of_file(said)
+
+
+def with_arguments(problem: "str | Problem | Mapping[str, Any]", **given: Any) -> Problem:
+    """Return a problem with the fields that are given, not None. Raises ValueError."""
+    changes = {name: value for name, value in given.items() if value is not None}
+    return named(named(problem).changed(**changes)) if changes else named(problem)
+
+
+@lru_cache(64)
+def _of(text: str) -> Problem:
+    if text in PROBLEMS:
+        return PROBLEMS[text]
+    try:
+        return _made(msgspec.json.decode(text))
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise ValueError(f"not valid JSON: {str(error)[:200]}; wanted {FORMS}") from None
+
+
+def of_file(name: str) -> Problem:
+    """Return the problem of a YAML file. Raises ValueError."""
+    path = Path(name)
+    if not os.path.lexists(path) and re.fullmatch(r"[\w-]+", name):
+        near = difflib.get_close_matches(name, PROBLEMS, 1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}? Wanted" if near else "wanted"
+        raise ValueError(f"{name!r} is no problem and no file; {hint} {FORMS}")
+    try:
+        with open(path, "rb", opener=lambda file, flags: os.open(file, flags | os.O_NONBLOCK)) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise ValueError(f"{name}: a pipe or a device is not allowed; wanted a file")
+            content = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise ValueError(f"{name}: {error.strerror}; wanted {FORMS}") from None
+    if len(content) > MOST_BYTES:
+        raise ValueError(f"{name}: more than {MOST_BYTES:,} bytes are not allowed")
+    try:
+        value = YAML(typ="safe", pure=True).load(content.decode())
+    except (YAMLError, ValueError, RecursionError, LookupError) as error:
+        what = getattr(error, "problem", None) or str(error).split("\n")[0]
+        mark = getattr(error, "problem_mark", None)
+        raise ValueError(f"{name}:{f'{mark.line + 1}:' if mark else ''} not valid YAML: {what}") from None
+    try:
+        if isinstance(value, dict) and "problem" in value:  # a mission script
+            value = value["problem"]
+        return _made({} if value is None else value)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _made(fields: Any) -> Problem:
+    """Return the problem of these fields. Raises ValueError."""
+    wanted = f"fields: {', '.join(FIELDS)}"
+    if not isinstance(fields, dict):
+        raise ValueError(f"{fields!r:.60} is not allowed; wanted {wanted}")
+    for name in fields:
+        if name not in FIELDS:
+            near = difflib.get_close_matches(str(name), FIELDS, 1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}? Wanted" if near else "wanted"
+            raise ValueError(f"unknown field {name!r:.60}; {hint} {wanted}")
+    try:
+        problem = msgspec.convert(fields, Problem)
+    except (msgspec.ValidationError, OverflowError) as error:
+        said, _, where = str(error).partition(" - at `$")
+        where = where.strip("`").lstrip(".")
+        if error.__cause__:  # a check of our own
+            raise ValueError(f"{where + ': ' if where else ''}{said}") from None
+        field = re.split(r"[.\[]", where)[0]
+        about = FIELDS[field].__metadata__[0].description if field in FIELDS else wanted
+        value = repr(fields.get(field, fields))
+        raise ValueError(f"{where}: {value:.60} is not allowed; wanted {about}") from None
+    check(problem)
+    return problem
+
+
+def check(problem: Problem) -> None:
+    """Raise ValueError if a problem's sensor or world is not known, or is not for such a problem."""
+    try:
+        sensor_of(problem)
+    except ValueError as error:
+        raise ValueError(f"sensor: {error}") from None
+    if problem.world == AS_MODELLED:
+        return
+    from plume.worlds import names as worlds  # a service, which knows no world, does not load them
+
+    try:
+        worlds.check(problem.world, problem)
+    except ValueError as error:
+        raise ValueError(f"world: {error}") from None
+
+
+def sensor_of(problem: Problem) -> Sensor:
+    """Return a problem's sensor, with its dwell. Raises ValueError."""
+    return sensors.parse(sensor_text(problem))
+
+
+def sensor_text(problem: Problem) -> str:
+    """Return the text of a problem's sensor, with its dwell. Raises ValueError."""
+    return sensors.dwelling(problem.sensor, problem.dwell_s)

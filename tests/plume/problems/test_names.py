@@ -1,0 +1,71 @@
+"""Protects how problems are named: a name, a file, JSON; and that a bad one is refused in a line."""
+
+from pathlib import Path
+
+import pytest
+
+from plume.problem import PAPER, Area, Problem
+from plume.problems.names import named, with_arguments
+
+FIELD = Problem(area=Area((-20, 0), (80, 50)), step_m=2, prior=Area((30, 0), (80, 50)), q=250, u=(1, 2))
+
+
+def test_a_problem_is_read_back_from_its_text() -> None:
+    assert named(FIELD.text) == FIELD
+    assert named("paper") is PAPER
+    assert named(FIELD.text).text == FIELD.text  # whole numbers or not
+
+
+def test_a_problem_comes_from_a_file_or_a_script(tmp_path: Path) -> None:
+    path = tmp_path / "field.yaml"
+    path.write_text("area: {low: [-20, 0], high: [80, 50]}\nstep_m: 2\n")
+    assert named(str(path)) == Problem(area=Area((-20, 0), (80, 50)), step_m=2)
+    path.write_text("seed: 3\nproblem: {step_m: 2}\n")
+    assert named(str(path)) == Problem(step_m=2)
+    path.write_text("")
+    assert named(str(path)) == PAPER
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("stepm: 3", "unknown field 'stepm'; did you mean 'step_m'"),
+        ("step_m: fast", "step_m: 'fast' is not allowed; wanted length of a move"),
+        ("step_m: 20", "step_m: 20.0 is not allowed; wanted above 0 up to 10 m"),
+        ("area: {low: [0, 0]}", "area: .* is not allowed; wanted where the search flies"),
+        (
+            "area: {low: [0, 0], high: [0, 9]}",
+            r"area: high: \[0, 9\] is not allowed; wanted a corner north-east",
+        ),
+        ("area: {low: [0, 0], high: [.nan, 9]}", r"area.high\[0\]: .*nan.* is not allowed; wanted"),
+        ("sensor: nose", "sensor: .*nose"),
+        ("world: nowhere", "world: .*nowhere"),
+        ("{area: {low: [0, 0], high: [9, 9]}, world: source-outside}", "world: source-outside is not for"),
+        ("- 3", "is not allowed; wanted fields"),
+        ("a: [", "not valid YAML"),
+        ("area: &a [*a]", "not valid YAML|is not allowed"),
+    ],
+)
+def test_a_file_that_is_none_is_refused_in_a_line(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "field.yaml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=said) as refused:
+        named(str(path))
+    assert str(refused.value).startswith(f"{path}:")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_name_that_is_none_says_what_is_allowed(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="'papr' is no problem and no file; did you mean 'paper'"):
+        named("papr")
+    with pytest.raises(ValueError, match="not valid JSON"):
+        named("{area")
+    with pytest.raises(ValueError, match=r"Is a directory|a pipe or a device"):
+        named(str(tmp_path))
+    (tmp_path / "huge.yaml").write_bytes(b"#" * 200_000)
+    with pytest.raises(ValueError, match="bytes are not allowed"):
+        named(str(tmp_path / "huge.yaml"))
+
+
+def test_an_argument_comes_before_the_problem() -> None:
+    assert with_arguments(FIELD, budget=7, world=None) == FIELD.changed(budget=7)
