@@ -31,7 +31,7 @@ from agent.planning.moves import Reach
 from agent.policies import choose
 from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.figures import wilson
-from agent.trials.rollout import ALTITUDE_M, mission
+from agent.trials.rollout import mission
 from benchmarks.pages import placed, table
 from estimator.belief import CLEAR, belief, evidence
 from estimator.filter import Config, assimilate, prior
@@ -45,6 +45,7 @@ from link.files import whole
 from plume.dispersion import concentration
 from plume.elementary import Array
 from plume.outcome import interval
+from plume.problem import ALTITUDE_M
 from plume.randomness import derived_seed
 from plume.scenario import AREA_M, draw
 from plume.sensors.names import GAUSSIAN

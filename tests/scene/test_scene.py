@@ -5,6 +5,7 @@ import math
 import pytest
 
 from plume.dispersion import concentration
+from plume.problem import AREA
 from scene.scene import Backdrop, Release, Scene, ellipse, judged
 
 
@@ -26,7 +27,7 @@ def test_the_true_plume_has_its_rows_from_south_to_north_and_its_gas_downwind() 
     release = Release(
         (10.0, 20.0), (3.0, 0.0), 300.0, 4.0, 10.0, height=1.0
     )  # wind from the east: gas lies in the west
-    gas = release.gas(30.0, 60)
+    gas = release.gas(AREA, 60)
     assert gas.shape == (60, 60)
     assert gas[40, 10] > 10 * gas[40, 29]  # y = 20.25: x = 5.25, downwind, and x = 14.75
     at = concentration(

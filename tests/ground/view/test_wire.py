@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ground.view.wire import Sent, framed, packed
+from plume.problem import AREA
 from scene.scene import INFO, Backdrop, Condition, Craft, Happening, Measurement, Release, Scatter, Scene
 
 RELEASE = Release((20.0, 12.0), (1.0, 0.0), q=300.0, d=4.0, tau=10.0)
@@ -23,7 +24,7 @@ def measurement(step: int, gas: float = 0.5) -> Measurement:
 
 UNSAID = {"battery": None, "volts": None, "gps": "", "health": "", "speed_mps": None}
 SCENE = Scene(
-    Backdrop("uav/1", 30.0, "homing, seed 1", RELEASE),
+    Backdrop("uav/1", AREA, "homing, seed 1", RELEASE),
     time_s=12.5,
     craft=Craft(12.5, (1.5, 2.5), 5.0, 0.5, "OFFBOARD", True),
     track=np.array([[0, 0], [1, 0], [2, 0]], np.float32),
