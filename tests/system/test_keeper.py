@@ -49,7 +49,8 @@ def end(
     """Fly, and give the uav a signal in mid-air; returns the mission, the uav and its keeper when the
     vehicle has landed.
     """
-    mission = start("sitl", "fly", "--vehicle", double.url, *WORDS, cwd=cwd)
+    # A stopped uav counts as one that hangs: the launcher must not end it before the vehicle has landed.
+    mission = start("sitl", "fly", "--vehicle", double.url, *WORDS, "--patience", "300", cwd=cwd)
     mission.comes_to("step   0/300")
     uav = family(mission.process.pid)["uav"]
     keeper = keeper_of(uav)
