@@ -43,6 +43,12 @@ LATCHED = {
 MOST = 20_000
 
 
+def compile_messages() -> None:
+    """A first message of a kind compiles for seconds: too long for a callback, whose session is then lost."""
+    for kind in (*VOLATILE.values(), *LATCHED.values(), Bool, Empty, Attachment):
+        kind.deserialize(kind().serialize())
+
+
 def plain(value: Any) -> Any:
     """A message as JSON has it."""
     if hasattr(value, "__struct_fields__"):
@@ -115,6 +121,7 @@ class Peer:
 
 async def main(endpoint: str, domain: str, namespace: str) -> None:
     """Hear and command until told to end."""
+    compile_messages()
     config = zenoh.Config()
     settings = {
         "mode": "client",

@@ -34,7 +34,7 @@ class Peer:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, "CYDR_CACHE_DIR": cache},
+            env={**os.environ, "CYDR_CACHE_DIR": cache, "CFLAGS": "-O0"},  # unoptimised, they compile sooner
         )
         assert self._process.stdout
         assert self._process.stdout.readline() == "ready\n"
