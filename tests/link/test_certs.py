@@ -20,14 +20,14 @@ def test_it_says_what_it_made_and_what_it_kept(tmp_path: Path, capsys: pytest.Ca
     assert [line.split("  ")[0] for line in lines[:-1]] == ["made"] * 4
     assert [line.partition(f"{folder}")[2] for line in lines[:4]] == [
         ": ca",
-        ": router, operator, observer",
-        "/uav/1: vehicle, estimator, agent, payload, bridge",
-        "/uav/3: vehicle, estimator, agent, payload, bridge",
+        ": router, operator, observer, ros",
+        "/uav/1: vehicle, estimator, agent, payload, bridge, ros2",
+        "/uav/3: vehicle, estimator, agent, payload, bridge, ros2",
     ]
     assert lines[-1].endswith("never ca.key.")
     _, lines, _ = made(capsys, str(folder), "--vehicles", "1,2")
     assert [line.split("  ")[0] for line in lines[:-1]] == ["kept", "kept", "kept", "made"]
-    assert lines[3].endswith("/uav/2: vehicle, estimator, agent, payload, bridge")
+    assert lines[3].endswith("/uav/2: vehicle, estimator, agent, payload, bridge, ros2")
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -120,7 +120,7 @@ def test_an_sdist_has_what_the_wheel_is_made_of_and_no_records(sdist: Path) -> N
         "LICENSE",
     }
     assert {path.name for path in sdist.iterdir()} == ours | {"PKG-INFO", ".gitignore"}
-    assert sum(path.stat().st_size for path in files(sdist)) < 5_000_000
+    assert sum(path.stat().st_size for path in files(sdist)) < 6_000_000  # the records alone are more
 
 
 def test_a_wheel_made_from_the_sdist_is_the_wheel_made_from_the_checkout(
@@ -132,7 +132,10 @@ def test_a_wheel_made_from_the_sdist_is_the_wheel_made_from_the_checkout(
 
 
 def test_an_install_needs_no_torch_but_with_the_extra_that_trains(wheel: Path) -> None:
-    extras = {name: set() for name in ("", "train", "view", "ray", "bench", "docs", "plumes", "fuzz", "test")}
+    extras = {
+        name: set()
+        for name in ("", "train", "view", "ray", "bench", "docs", "plumes", "ros2", "fuzz", "test")
+    }
     for requirement in requirements(wheel):
         extras[
             next((extra for extra in extras if extra and f'extra == "{extra}"' in str(requirement)), "")
@@ -142,6 +145,7 @@ def test_an_install_needs_no_torch_but_with_the_extra_that_trains(wheel: Path) -
     assert extras["view"] == {"matplotlib", "pillow"}
     assert extras["ray"] == {"ray"}
     assert extras["plumes"] == {"h5py", "numcodecs"}
+    assert extras["ros2"] == {"rosbags", "xxhash"}
     assert "stonesoup" in extras["bench"]
     assert extras["docs"] == {"mkdocs-material", "mkdocstrings"}
     assert (

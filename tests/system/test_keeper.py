@@ -14,7 +14,7 @@ from tests.autopilots.wire import Double
 from tests.system.conftest import Part
 
 SPEEDUP = 10.0
-WORDS = ("--speedup", f"{SPEEDUP:g}", "--seed", "7", "--particles", "100", "--no-record", "--patience", "10")
+WORDS = ("--speedup", f"{SPEEDUP:g}", "--seed", "7", "--particles", "100", "--no-record")
 IN_CIRCLES = """
 import signal
 def in_circles(*_):
@@ -45,11 +45,12 @@ def end(
     double: Double,
     cwd: Path,
     wait_until: Callable[..., None],
+    patience_s: float = 300.0,
 ) -> tuple[Part, int, int]:
     """Fly, and give the uav a signal in mid-air; returns the mission, the uav and its keeper when the
-    vehicle has landed.
+    vehicle has landed. The launcher takes a uav that is silent for `patience_s` for one that hangs, and ends it.
     """
-    mission = start("sitl", "fly", "--vehicle", double.url, *WORDS, cwd=cwd)
+    mission = start("sitl", "fly", "--vehicle", double.url, *WORDS, "--patience", f"{patience_s:g}", cwd=cwd)
     mission.comes_to("step   0/300")
     uav = family(mission.process.pid)["uav"]
     keeper = keeper_of(uav)
@@ -110,7 +111,7 @@ def test_a_uav_that_runs_in_circles_tells_where_and_its_vehicle_is_sent_home(
     (tmp_path / "planted").mkdir()
     (tmp_path / "planted" / "sitecustomize.py").write_text(IN_CIRCLES)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "planted"))
-    mission, _, _ = end(signal.SIGUSR2, start, family, double, tmp_path, wait_until)
+    mission, _, _ = end(signal.SIGUSR2, start, family, double, tmp_path, wait_until, 10.0)
     assert mission.ended() == 1
     assert mission.says("in in_circles")
     assert mission.says("The keeper sends the vehicle home: the uav was silent for 3 s")

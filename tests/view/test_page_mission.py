@@ -106,6 +106,8 @@ def test_a_service_that_dies_is_seen_and_seen_again_when_it_is_back(
     agent.kill()
     window.until(verdict("agent", "missing"))
     window.drawn()
+    assert "the agent is not there" in window.page.locator(".state").inner_text()
+    window.page.locator(".more summary").click()
     assert window.page.locator(".services li[data-verdict=missing] strong").inner_text() == "agent"
     assert "agent" in window.page.locator("#aloud").text_content()
     assert window.violations() == []
