@@ -315,8 +315,10 @@ def main() -> None:
     with get_context("spawn").Pool(args.workers) as pool:
         for world in [] if args.missing else args.world:
             flown = pool.map(cover, [Cell(world, seed) for seed in seeds], chunksize=5)
-            others = [row for row in read_rows(covered, Covered) if row.world != world]
-            write_rows(covered, sorted([*others, *flown], key=lambda row: _rank(row.world)))
+            old: list[Covered] = read_rows(covered, Covered)
+            rows = [row for row in old if row.world != world] + flown
+            rows.sort(key=lambda row: _rank(row.world))
+            write_rows(covered, rows)
             print(world, flush=True)
         if args.missing or args.world == list(WORLDS):
             missed = pool.map(miss, range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.flights), chunksize=1)

@@ -198,9 +198,9 @@ def _home(history: History, about: dict[str, Any]) -> tuple[Home | None, str]:
     mission = about.get("mission")
     vehicle = mission.get("vehicle") if isinstance(mission, dict) else None
     if isinstance(vehicle, dict) and "vehicle" not in about:
-        told = vehicle.get("home_lat_deg"), vehicle.get("home_lon_deg")
-        if all(isinstance(it, float) and abs(it) <= 180 for it in told) and abs(told[0]) <= 90:
-            return told, "the mission's own description"
+        match vehicle.get("home_lat_deg"), vehicle.get("home_lon_deg"):
+            case (float(lat_deg), float(lon_deg)) if abs(lat_deg) <= 90 and abs(lon_deg) <= 180:
+                return (lat_deg, lon_deg), "the mission's own description"
     return None, "nobody"
 
 

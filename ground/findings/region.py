@@ -71,7 +71,7 @@ class Contour95(NamedTuple):
         return bool(self._at(np.array([place]))[0] >= self.level)
 
     def _at(self, places: Array) -> Array:
-        return _sampled(self.density, np.linalg.solve(self.root, (places - self.mean).T).T)
+        return _sampled(self.density, _white(self.root, places - self.mean))
 
     @property
     def rings(self) -> list[Array]:
@@ -87,15 +87,15 @@ class Contour95(NamedTuple):
 def contour_95(places: Array, weights: Array) -> Contour95 | None:
     """Return the 95% contour of particles at places (N, 2) m with weights (N,); None on a line."""
     weights = np.asarray(weights, np.float64) / np.sum(weights, dtype=np.float64)
-    mean = weights @ places
-    offsets = places - mean
+    mean: Array = weights @ places
+    offsets: Array = places - mean
     covariance = (weights[:, None] * offsets).T @ offsets
     if np.linalg.eigvalsh(covariance)[0] < LEAST_M * LEAST_M:
         return None
-    root = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(root, offsets.T).T
+    root = np.asarray(np.linalg.cholesky(covariance), np.float64)
+    white = _white(root, offsets)
     effective = 1.0 / float(np.square(weights).sum())
-    density = _smoothed(_binned(white, weights), effective ** (-1.0 / 6.0))
+    density: Array = _smoothed(_binned(white, weights), effective ** (-1.0 / 6.0))
     at = _sampled(density, white)
     order = np.argsort(-at, kind="stable")
     held = np.searchsorted(np.cumsum(weights[order]), 0.95)
@@ -120,6 +120,11 @@ def _grid(white: Array) -> tuple[NDArray[np.int64], Array]:
     at = np.clip((white + REACH) * ((CELLS - 1) / (2 * REACH)), 0.0, CELLS - 1 - 1e-9)
     cells = at.astype(np.int64)
     return cells, at - cells
+
+
+def _white(root: Array, offsets: Array) -> Array:
+    """Return offsets (N, 2) m in the grid's coordinates."""
+    return np.asarray(np.linalg.solve(root, offsets.T).T, np.float64)
 
 
 def _binned(white: Array, weights: Array) -> Array:

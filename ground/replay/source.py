@@ -23,6 +23,7 @@ from link.record.record import Entry
 from plume.problem import PAPER, Problem, in_area, square
 from plume.scenario import AS_MODELLED
 from plume.sensors import names as sensor
+from plume.worlds.world import World
 from sitl.script import script
 
 # The keys that a vehicle publishes on, by their names in a log.
@@ -205,22 +206,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
             "lifetime": told.tau,
             "sensor": sensor.text(world.sensor),
         }
-    lat, lon = flown.origin.lat_deg, flown.origin.lon_deg
-    notes = list(flown.notes)
-    estimator = _estimator(flown, {**known, **filtering, **_sensing(flown, filtering, notes)})
-    return Source(
-        path,
-        flown.entries,
-        {},
-        {"estimator": estimator},
-        f"uav/{flown.system}",
-        False,
-        truth=world.truth.source if world else None,
-        world=world.name if world else AS_MODELLED,
-        problem=_problem(flown),
-        notes=tuple(notes),
-        home=None if lat is None or lon is None else (lat, lon),
-    )
+    return _logged(path, flown, {**known, **filtering}, world)
 
 
 def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
@@ -238,16 +224,24 @@ def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -
         origin=chosen.get("origin"),
         area_m=chosen.get("area"),
     )
+    return _logged(path, flown, filtering)
+
+
+def _logged(
+    path: Path, flown: LoggedFlight, filtering: Mapping[str, Any], world: World | None = None
+) -> Source:
+    """Return a logged flight for an estimator with flags; `world`, if the log's gas comes from one."""
     notes = list(flown.notes)
     lat, lon = flown.origin.lat_deg, flown.origin.lon_deg
-    estimator = _estimator(flown, {**filtering, **_sensing(flown, filtering, notes)})
     return Source(
         path,
         flown.entries,
         {},
-        {"estimator": estimator},
+        {"estimator": _estimator(flown, {**filtering, **_sensing(flown, filtering, notes)})},
         f"uav/{flown.system}",
         False,
+        truth=world.truth.source if world else None,
+        world=world.name if world else AS_MODELLED,
         problem=_problem(flown),
         notes=tuple(notes),
         home=None if lat is None or lon is None else (lat, lon),

@@ -1,4 +1,4 @@
-"""Where a vehicle is in the search area's frame, whose corner is home.
+"""Where a vehicle is in the search area's frame, whose origin is home.
 
 Its LOCAL_POSITION_NED is in a frame of its own.
 """
@@ -26,8 +26,8 @@ class AreaFrame:
     """The search area's frame as one vehicle's messages place it.
 
     Home is subtracted from GPS_GLOBAL_ORIGIN. A simulated vehicle sends no origin: its origin is its home.
-    On the ground home may be set anew, as arming does. What it becomes in the air is not the area's
-    corner, also after the landing.
+    On the ground home may be set anew, as arming does. What it becomes in the air is not the frame's
+    origin, also after the landing.
     """
 
     def __init__(self) -> None:
@@ -39,11 +39,11 @@ class AreaFrame:
         self.on_ground: bool | None = None  # None before the vehicle says anything
         self._landed, self._status = int(mavlink.MAV_LANDED_STATE_UNDEFINED), -1
         self._origin: Fix | None = None
-        self._home: Fix | None = None  # the corner
+        self._home: Fix | None = None  # the frame's origin
         self._newest_home: Fix | None = None
 
     @property
-    def corner(self) -> Ned | None:
+    def zero(self) -> Ned | None:
         """Home in the vehicle's own frame; None while that is not known."""
         if self._origin and self._home:
             return home_from(self._origin, self._home)
@@ -51,15 +51,15 @@ class AreaFrame:
 
     @property
     def home(self) -> Fix | None:
-        """Home, the area's corner: latitude and longitude, degrees, and altitude, m; None if not told."""
+        """Home, the frame's origin: latitude and longitude, degrees, and altitude, m; None if not told."""
         return self._home
 
     def take(self, message_id: int, fields: dict[str, Any]) -> bool:
         """Take one of the `PLACING` messages of the vehicle's autopilot.
 
-        Returns whether the corner has moved.
+        Returns whether home has moved.
         """
-        before = self.corner
+        before = self.zero
         if message_id == HEARTBEAT:
             self._autopilot, self._status = fields["autopilot"], fields["system_status"]
         elif message_id == ORIGIN:
@@ -75,16 +75,16 @@ class AreaFrame:
             self.on_ground = self._landed == mavlink.MAV_LANDED_STATE_ON_GROUND
         elif self._status >= 0:
             self.on_ground = self._status in GROUNDED
-        return self.corner != before
+        return self.zero != before
 
     def place(self, local: dict[str, Any]) -> tuple[float, float, float] | None:
         """Return (x, y) and height above home, m, of a LOCAL_POSITION_NED.
 
         None where it cannot be told, or is not finite.
         """
-        if (corner := self.corner) is None:
+        if (zero := self.zero) is None:
             return None
-        north, east, down = (local[name] - part for name, part in zip("xyz", corner, strict=True))
+        north, east, down = (local[name] - part for name, part in zip("xyz", zero, strict=True))
         place = east, north, -down
         return place if all(map(math.isfinite, place)) else None
 

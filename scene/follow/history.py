@@ -98,7 +98,7 @@ class History:
         self._displace()
 
     def _displace(self) -> None:
-        """Forget the places: they were told from another corner."""
+        """Forget the places: they were told from another home."""
         self._track = Trail(self._whole)
         if self.craft:
             self.craft = replace(self.craft, position=NOWHERE)
@@ -241,7 +241,7 @@ class History:
 
     @property
     def home(self) -> Fix | None:
-        """The area's corner: latitude and longitude, degrees, and altitude above sea, m; None if unknown."""
+        """Home: latitude and longitude, degrees, and altitude above sea, m; None if unknown."""
         return self._area.home
 
     def at(self, time_s: float = math.inf, wall_s: float | None = None) -> Scene:
