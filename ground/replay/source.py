@@ -1,4 +1,4 @@
-"""The source of a replay: a recording of the bus with the recorded answers, or an autopilot's log."""
+"""The source of a replay: a recording of the bus with the recorded answers, or a log of others."""
 
 import argparse
 import math
@@ -201,20 +201,8 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
             "lifetime": told.tau,
             "sensor": sensor.text(world.sensor),
         }
-    notes = list(flown.notes)
-    estimator = _estimator(flown, {**known, **filtering, **_sensing(flown, filtering, notes)})
-    return Source(
-        path,
-        flown.entries,
-        {},
-        {"estimator": estimator},
-        f"uav/{flown.system}",
-        False,
-        truth=world.truth.source if world else None,
-        world=world.name if world else AS_MODELLED,
-        area_m=flown.area_m,
-        notes=tuple(notes),
-    )
+    source = _logged(path, flown, {**known, **filtering})
+    return source._replace(truth=world.truth.source, world=world.name) if world else source
 
 
 def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
@@ -232,6 +220,11 @@ def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -
         origin=chosen.get("origin"),
         area_m=chosen.get("area"),
     )
+    return _logged(path, flown, filtering)
+
+
+def _logged(path: Path, flown: LoggedFlight, filtering: Mapping[str, Any]) -> Source:
+    """Return a logged flight for an estimator with the flags `filtering`."""
     notes = list(flown.notes)
     estimator = _estimator(flown, {**filtering, **_sensing(flown, filtering, notes)})
     return Source(
