@@ -1,4 +1,4 @@
-"""The source of a replay: a recording of the bus with the recorded answers, or an autopilot's log."""
+"""The source of a replay: a recording of the bus with the recorded answers, or a log of others."""
 
 import argparse
 import math
@@ -23,7 +23,6 @@ from link.record.record import Entry
 from plume.problem import PAPER, Problem, in_area, square
 from plume.scenario import AS_MODELLED
 from plume.sensors import names as sensor
-from plume.worlds.world import World
 from sitl.script import script
 
 # The keys that a vehicle publishes on, by their names in a log.
@@ -206,7 +205,8 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
             "lifetime": told.tau,
             "sensor": sensor.text(world.sensor),
         }
-    return _logged(path, flown, {**known, **filtering}, world)
+    source = _logged(path, flown, {**known, **filtering})
+    return source._replace(truth=world.truth.source, world=world.name) if world else source
 
 
 def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
@@ -227,21 +227,18 @@ def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -
     return _logged(path, flown, filtering)
 
 
-def _logged(
-    path: Path, flown: LoggedFlight, filtering: Mapping[str, Any], world: World | None = None
-) -> Source:
-    """Return a logged flight for an estimator with flags; `world`, if the log's gas comes from one."""
+def _logged(path: Path, flown: LoggedFlight, filtering: Mapping[str, Any]) -> Source:
+    """Return a logged flight for an estimator with the flags `filtering`."""
     notes = list(flown.notes)
+    estimator = _estimator(flown, {**filtering, **_sensing(flown, filtering, notes)})
     lat, lon = flown.origin.lat_deg, flown.origin.lon_deg
     return Source(
         path,
         flown.entries,
         {},
-        {"estimator": _estimator(flown, {**filtering, **_sensing(flown, filtering, notes)})},
+        {"estimator": estimator},
         f"uav/{flown.system}",
         False,
-        truth=world.truth.source if world else None,
-        world=world.name if world else AS_MODELLED,
         problem=_problem(flown),
         notes=tuple(notes),
         home=None if lat is None or lon is None else (lat, lon),

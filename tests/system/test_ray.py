@@ -77,7 +77,7 @@ class Cluster:
                 start_new_session=True,
             )
         self.nodes.append(node)
-        self.wait_until(lambda: "will now block" in said.read_text() or node.poll() is not None, timeout_s=60)
+        self.wait_until(lambda: "will now block" in said.read_text() or node.poll() is not None)
         assert node.poll() is None, said.read_text()
         return said.read_text()
 
@@ -136,7 +136,7 @@ def untimed(path: Path) -> list[MissionRow]:
     ]
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(900)
 def test_two_nodes_give_what_the_cores_give_and_an_interrupt_loses_nothing(
     start, cluster: Cluster, tmp_path: Path, wait_until: Callable
 ) -> None:
@@ -166,7 +166,7 @@ def test_two_nodes_give_what_the_cores_give_and_an_interrupt_loses_nothing(
     def interrupted(sign: signal.Signals) -> bytes:
         kept = journal()
         sweep = start(*SWEEP, "--scenarios", "3000", "--ray", address, cwd=tmp_path)
-        wait_until(lambda: len(journal()) > len(kept) + 1, timeout_s=60)
+        wait_until(lambda: len(journal()) > len(kept) + 1)
         sweep.process.send_signal(sign)
         assert sweep.ended() == 130
         assert sweep.says("Run the command again: it resumes")
@@ -178,7 +178,7 @@ def test_two_nodes_give_what_the_cores_give_and_an_interrupt_loses_nothing(
     assert len(interrupted(signal.SIGTERM)) > len(first)
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(900)
 def test_a_node_with_other_code_is_refused(start, cluster: Cluster, tmp_path: Path) -> None:
     """Other code could give other results."""
     other = cluster.folder / "other"

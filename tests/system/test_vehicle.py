@@ -23,7 +23,7 @@ from tests.system.conftest import Part
 from tests.system.live import run_sitl
 from tests.system.wires import SerialWire
 
-FAST, STEADY = 10.0, 5.0
+FAST, STEADY = 10.0, 2.0
 """Speed-ups. PX4 wants setpoints all the time: its companion must not be late by a second of simulation
 time on a busy machine.
 """
@@ -222,11 +222,11 @@ def test_ctrl_c_in_mid_air_sends_the_vehicle_home_before_the_parts_end(
 def test_without_a_simulator_it_ends_when_the_wait_is_over_and_says_what_was_missing(
     start: type[Part], tmp_path: Path
 ) -> None:
-    words = ("--particles", "100", "--no-record", "--wait", "1")
+    words = ("--particles", "100", "--no-record", "--wait", "5")
     flight = start("sitl", "fly", "--vehicle", "tcp:127.0.0.1:1", *words, cwd=tmp_path)
     assert flight.ended() == 1
     assert (
-        "the search has not begun in 1 s (--wait): no HEARTBEAT at tcp:127.0.0.1:1 (Connection refused"
+        "the search has not begun in 5 s (--wait): no HEARTBEAT at tcp:127.0.0.1:1 (Connection refused"
         in flight.err[-1]
     )
     assert flight.says("Check: vehicle: not ok, no HEARTBEAT")

@@ -45,7 +45,8 @@ def test_a_mission_from_the_ground_to_its_outcome_with_an_operators_commands(
     window.until("plumeward.state.link === 'open'")
     assert "Waiting for a vehicle" in window.text("#empty")
     start("sitl", "uav", str(mission), "--connect", router, "--speedup", "20")
-    window.until(f"plumeward.drawn && {MODEL}?.scene?.craft && {verdict('uav', 'ok')}")
+    window.until(f"{MODEL}?.scene?.craft?.armed === false && {verdict('uav', 'ok')}")
+    window.drawn()
 
     back = window.page.get_by_role("button", name="Return")
     assert back.is_disabled()
