@@ -41,12 +41,14 @@ def _add_policy_arguments(parser: argparse.ArgumentParser, of: str) -> None:
 
 def _add_rollout_arguments(parser: argparse.ArgumentParser) -> None:
     from agent.trials.evaluate import add_world_argument
+    from agent.trials.fleet import add_fleet_arguments
     from estimator.options import add_sensor_argument
 
     _add_policy_arguments(parser, "mission")
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
     add_world_argument(parser)
+    add_fleet_arguments(parser)
     cli.add_output_arguments(parser)
 
 
@@ -93,9 +95,10 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
     args = parser.parse_args(arguments)
     try:
         if args.command in ("rollout", "evaluate"):
+            from agent.trials.fleet import fleet_given
             from estimator.options import criteria, knowledge
 
-            args.knowledge, args.stops = knowledge(args), criteria(args)
+            args.knowledge, args.stops, args.fleet = knowledge(args), criteria(args), fleet_given(args)
         if args.command in (None, "rollout"):
             args.reach = reach(args.policy, cli.reach_given(args), args.area)
             args.scripted = {
@@ -122,6 +125,9 @@ def _rollout(args: argparse.Namespace) -> None:
         moves=cli.reach_given(args),
         world=args.world,
         stop=stop.text,
+        vehicles=args.fleet.vehicles,
+        formation=args.fleet.formation,
+        separation_m=args.fleet.separation_m,
         **args.knowledge,
     )
     tell(outcome_text(result), sys.stderr if args.json else sys.stdout)

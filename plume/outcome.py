@@ -27,6 +27,7 @@ class TracePoint(msgspec.Struct, frozen=True):
     reading: float
     mean: tuple[float, float]
     spread: float
+    vehicle: int = 1
 
 
 class Outcome(msgspec.Struct, frozen=True):
@@ -43,8 +44,8 @@ class Outcome(msgspec.Struct, frozen=True):
     scenario: Scenario | None  # the truth; in most worlds it differs from what the estimator assumes
     error_m: float | None
     spread_m: float
-    steps: int
-    distance_m: float
+    steps: int  # moves of each vehicle
+    distance_m: float  # of all vehicles
     search_time_s: float  # compute time of estimator and agent, summed over the mission
     assume: str  # what the estimator took to be known
     stop: str  # the stop criterion, in the form of --stop
@@ -55,6 +56,12 @@ class Outcome(msgspec.Struct, frozen=True):
     # 5, 50 and 95% quantiles of what the belief says of how the gas comes and goes, as of `Belief`.
     intermittency: dict[str, Quantiles] = {}
     advised_dwell_s: float | None = None  # how long to hover for a reading in such gas; None: as long as now
+    distances_m: tuple[float, ...] = ()  # of each vehicle, in their order
+
+    @property
+    def vehicles(self) -> int:
+        """How many vehicles flew it."""
+        return len(self.distances_m)
 
 
 def verdict(
@@ -117,6 +124,12 @@ def outcome(
     source = scenario.nearest(last.mean) if scenario else None
     ended = verdict(ceased, last.mean, source, outside_share, area_m)
     error_m = math.dist(last.mean, source) if source else None
+    paths = [
+        [point.position for point in trace if point.vehicle == vehicle]
+        for vehicle in range(1, max(point.vehicle for point in trace) + 1)
+    ]
+    # `sum` differs between Pythons
+    distances_m = [reduce(add, (math.dist(a, b) for a, b in pairwise(path)), 0.0) for path in paths]
     return Outcome(
         seed=seed,
         policy=policy,
@@ -127,10 +140,8 @@ def outcome(
         scenario=scenario,
         error_m=error_m,
         spread_m=last.spread,
-        steps=len(trace) - 1,
-        distance_m=reduce(
-            add, (math.dist(a.position, b.position) for a, b in pairwise(trace)), 0.0
-        ),  # `sum` differs between Pythons
+        steps=max(map(len, paths)) - 1,
+        distance_m=reduce(add, distances_m),
         search_time_s=search_time_s,
         assume=assume,
         stop=stop,
@@ -140,6 +151,7 @@ def outcome(
         outside_to=beyond(last.mean, area_m),
         intermittency=dict(intermittency),
         advised_dwell_s=advised_dwell_s or None,
+        distances_m=tuple(distances_m),
     )
 
 
@@ -168,8 +180,9 @@ def outcome_text(result: Outcome) -> str:
         if result.source
         else ""
     )
+    of_all = f" of {result.vehicles} vehicles" if result.vehicles > 1 else ""
     return (
-        f"{ended} after {result.steps} steps, {result.distance_m:.1f} m\n"
+        f"{ended} after {result.steps} steps{of_all}, {result.distance_m:.1f} m\n"
         f"estimate ({x:.2f}, {y:.2f}) ± {result.spread_m:.2f} m\n"
         f"{source}{assumed_text(result.assume, result.stop, result.world)}"
     ) + "".join(f"\n{line}" for line in gas_lines(result.intermittency, result.advised_dwell_s))

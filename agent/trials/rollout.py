@@ -1,12 +1,14 @@
 """A mission flown in-process, without the network, with bit-identical results."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from agent.planning.moves import Reach
-from agent.policies import DEFAULT, choose, reach
+from agent.policies import DEFAULT, reach
+from agent.together import choose_all
+from agent.trials.fleet import ALONE, Fleet
 from estimator.belief import belief
 from estimator.criterion import USUAL_THRESHOLD_M, chosen
 from estimator.filter import Config, Posterior, assimilate, prior
@@ -27,12 +29,13 @@ FURTHER = ("area_m", "margin_m", "priors", "sensor", "stop_on_location", "stop_l
 
 
 class Step(NamedTuple):
-    """One reading of a mission and the belief after it."""
+    """One round of a mission, a reading of each vehicle, and the belief after it."""
 
     belief: Belief
     particles: Particles
     posterior: Posterior  # what both were made from
-    update_s: float  # processor time of the estimator for this reading: others on the machine do not count
+    readings: Sequence[Reading]  # of this round: one of each vehicle
+    update_s: float  # processor time of the estimator for this round: others on the machine do not count
     decision_s: float  # processor time of the agent for the move to here; 0 at the start
 
 
@@ -54,19 +57,22 @@ def mission(
     moves: Mapping[str, float] = OWN_MOVES,
     world: str = AS_MODELLED,
     ends: bool = True,
+    fleet: Fleet = ALONE,
     **knowledge: Any,
 ) -> Mission:
     """Prepare the mission of a seed with a policy, by default with the paper's assumption.
 
-    `moves`: fields of `Reach`. `ends`: whether the stop ends it. `knowledge`: other fields of `Config`,
-    like the sensor.
+    `moves`: fields of `Reach`. `ends`: whether the stop ends it. `fleet`: the vehicles that fly it
+    together. `knowledge`: other fields of `Config`, like the sensor.
     """
     told = draw(seed)
     config = Config(
         particles, threshold_m, derived_seed(seed, "estimator"), told.q, told.d, told.tau, **knowledge
     )
     there = World(told, seed, config.sensor, world)
-    steps = _steps(there, config, policy, derived_seed(seed, "agent"), budget, reach(policy, moves), ends)
+    steps = _steps(
+        there, config, policy, derived_seed(seed, "agent"), budget, reach(policy, moves), ends, fleet
+    )
     return Mission(there.truth, config, steps)
 
 
@@ -84,26 +90,43 @@ def check(assume: str, knowledge: Mapping[str, Any]) -> None:
 
 
 def _steps(
-    world: World, config: Config, policy: str, agent_seed: int, budget: int, within: Reach, ends: bool
+    world: World,
+    config: Config,
+    policy: str,
+    agent_seed: int,
+    budget: int,
+    within: Reach,
+    ends: bool,
+    fleet: Fleet,
 ) -> Iterator[Step]:
-    posterior, position, decision_s = prior(config), world.start, 0.0
-    time_s, place, before = 0.0, world.start, None
+    vehicles = range(fleet.vehicles)
+    worlds = [world.of_vehicle(vehicle + 1) for vehicle in vehicles]
+    starts = fleet.starts(world.start, world.seed, config.area_m)
+    posterior, positions, decision_s = prior(config), starts, 0.0
+    time_s, places, before = 0.0, starts, [None] * fleet.vehicles
     for step in range(budget + 1):
-        time_s += float(leg_s(place, position)) + world.sensor.dwell + TRY_AGAIN_S * world.loses(step)
+        time_s += max(
+            float(leg_s(places[i], positions[i])) + world.sensor.dwell + TRY_AGAIN_S * worlds[i].loses(step)
+            for i in vehicles
+        )
         while world.warms_up(time_s):
             time_s += TRY_AGAIN_S
-        place = position
-        gas, wind = world.measure(position, step, time_s, before)
-        before = Before(position, time_s, gas)
-        reading = Reading(step, position, ALTITUDE_M, wind, gas)
+        places = positions
+        readings: list[Reading] = []
+        for i, place in enumerate(places):
+            gas, wind = worlds[i].measure(place, step, time_s, before[i])
+            before[i] = Before(place, time_s, gas)
+            readings.append(Reading(step, place, ALTITUDE_M, wind, gas, i + 1))
         began = time.process_time()
-        posterior = assimilate(posterior, reading, config)
+        for reading in readings:
+            posterior = assimilate(posterior, reading, config)
         summary, cloud = belief(posterior, reading, config)
-        yield Step(summary, cloud, posterior, time.process_time() - began, decision_s)
+        yield Step(summary, cloud, posterior, readings, time.process_time() - began, decision_s)
         if (ends and summary.ceased) or step == budget:
             return
         began = time.process_time()
-        position = choose(policy, summary, cloud, agent_seed, within)
+        gases = [reading.gas for reading in readings]
+        positions = choose_all(policy, summary, cloud, agent_seed, within, places, gases, fleet.separation_m)
         decision_s = time.process_time() - began
 
 
@@ -118,6 +141,9 @@ def rollout(
     world: str = AS_MODELLED,
     assume: str = "field",
     stop: str | None = None,
+    vehicles: int = 1,
+    formation: str = ALONE.formation,
+    separation_m: float = ALONE.separation_m,
     **knowledge: Any,
 ) -> tuple[Outcome, list[TracePoint]]:
     """Fly one mission in this process, without a network. The same mission over Zenoh gives the same bits.
@@ -136,12 +162,16 @@ def rollout(
         stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
             when at least 99% of the belief is
             within 1 m of the estimate.
+        vehicles: Vehicles that search together, with one belief and one stop.
+        formation: Where they start: from one `point`, along one `edge`, or in different `corners`.
+        separation_m: Least distance between the ways of two vehicles, m.
         knowledge: Further fields of `plumeward.Config`: `sensor`, `priors`, `stop_limits`,
             `stop_on_location`, `area_m` and `margin_m`.
 
     Returns:
         The outcome, and a trace of one point for each reading, the first of them before any move. Lengths
-        are in metres.
+        are in metres. With several vehicles a point says whose reading it is, and shows the belief after
+        the round; steps are rounds, and the distance is that of all.
 
     Raises:
         ValueError: The policy or the world is not known, or cannot be flown so; or the assumption or the
@@ -157,12 +187,16 @@ def rollout(
     criterion = chosen(threshold_m, stop)
     check(assume, knowledge)
     knowledge |= {"assume": assume, "within": criterion.within}
-    flown = mission(seed, policy, particles, criterion.threshold_m, budget, moves, world=world, **knowledge)
+    fleet = Fleet(vehicles, formation, separation_m)
+    flown = mission(
+        seed, policy, particles, criterion.threshold_m, budget, moves, world=world, fleet=fleet, **knowledge
+    )
     trace: list[TracePoint] = []
     search_time_s = 0.0
     for step in flown.steps:
         said = step.belief
-        trace.append(TracePoint(said.position, said.gas, said.mean, said.spread))
+        for taken in step.readings:
+            trace.append(TracePoint(taken.position, taken.gas, said.mean, said.spread, taken.vehicle))
         search_time_s += step.update_s + step.decision_s
     return outcome(
         seed,

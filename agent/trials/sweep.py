@@ -19,6 +19,7 @@ import numpy as np
 
 from agent.policies import bundle_path, reach
 from agent.trials.figures import MissionRow, nees
+from agent.trials.fleet import ALONE, Fleet
 from agent.trials.floor import LEAST_THRESHOLD_M, floors_m
 from agent.trials.progress import with_bar
 from agent.trials.rollout import Mission, mission
@@ -48,6 +49,7 @@ class Sweep:
     moves: dict[str, float] = field(default_factory=dict)  # fields of `Reach` that replace the planner's own
     knowledge: dict[str, Any] = field(default_factory=dict)  # other fields of `Config`
     worlds: Sequence[str] = (AS_MODELLED,)
+    fleet: Fleet = ALONE  # the vehicles that fly each mission together
 
     @property
     def flights(self) -> Iterator["Flight"]:
@@ -97,6 +99,7 @@ def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
             sweep.moves,
             world=world,
             ends=False,
+            fleet=sweep.fleet,
             within=first.within,
             **sweep.knowledge,
         )
@@ -113,7 +116,9 @@ def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
 def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
     """The information floor of a mission at each ζ, m, where docs/floor.md defines it."""
     config = ready.config
-    as_defined = config.sensor == GAUSSIAN and sweep.moves.get("step", STEP_M) == STEP_M
+    as_defined = (
+        sweep.fleet == ALONE and config.sensor == GAUSSIAN and sweep.moves.get("step", STEP_M) == STEP_M
+    )
     if not as_defined or config.effective_priors or config.stop_limits:
         return {}
     thresholds_m = [stop.threshold_m for stop in sweep.stops if not stop.within]
@@ -131,7 +136,7 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
     updates_s: list[float] = []
     decisions_s: list[float] = []
     distance_m = 0.0
-    position = scenario.start
+    positions: dict[int, tuple[float, float]] = {}  # of each vehicle
 
     def row(stop: Criterion, ceased: bool) -> MissionRow:
         told, floor_m = waiting[stop], None if stop.within else floors.get(stop.threshold_m)
@@ -154,8 +159,9 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
         updates_s.append(step.update_s)
         if said.step:
             decisions_s.append(step.decision_s)
-            distance_m += math.dist(position, said.position)
-        position = said.position
+            for reading in step.readings:
+                distance_m += math.dist(positions[reading.vehicle], reading.position)
+        positions |= {reading.vehicle: reading.position for reading in step.readings}
         warned |= {stop for stop, told in waiting.items() if warning(said, told)}
         for stop in [stop for stop, told in waiting.items() if met(step.posterior, said, told)]:
             rows[stop] = row(stop, True)
@@ -226,6 +232,9 @@ def settings(sweep: Sweep, policy: str, config: Config) -> dict[str, Any]:
         "stop_on": ",".join(["location"] * config.stop_on_location + limits),
         "assume": config.assume,
         "margin_m": config.margin,
+        "vehicles": sweep.fleet.vehicles,
+        "start_from": sweep.fleet.formation,
+        "separation_m": sweep.fleet.separation_m if sweep.fleet.vehicles > 1 else None,
     }
 
 
@@ -321,6 +330,7 @@ def journal_of(sweep: Sweep, folder: Path) -> Path:
         sweep.budget,
         sorted(sweep.moves.items()),
         sorted(sweep.knowledge.items()),
+        sweep.fleet,
     )
     digest = hashlib.blake2b(repr(question).encode(), digest_size=8)
     return folder / f"evaluate-{digest.hexdigest()}.jsonl"
