@@ -1,6 +1,6 @@
 """A fleet's next places: each vehicle chooses, given where those before it go and what they may read."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import msgspec
 import numpy as np
@@ -26,20 +26,39 @@ def choose_all(
 ) -> list[Place]:
     """Return the next place of each vehicle, in their order, float32 pairs; alone, as `choose` does.
 
-    belief: after the last round's readings, which were taken at `places` and said `gases`. Each vehicle sees
-    the belief as if it had taken the last reading. Its draws are keyed by (seed, vehicle, step).
+    belief: after the last round's readings, which were taken at `places` and said `gases`. The draws of a
+    policy are keyed by (seed, vehicle, step).
     """
     if len(places) == 1:
         return [choose(name, belief, particles, seed, within)]
+
+    def decide(vehicle: int, reach: Shared) -> Place:
+        seen = seen_by(belief, places[vehicle], gases[vehicle])
+        return choose(name, seen, particles, seed_of(seed, vehicle + 1), reach)
+
+    return in_turn(within, places, separation_m, decide)
+
+
+def in_turn(
+    within: Reach, places: Sequence[Place], separation_m: float, decide: Callable[[int, Shared], Place]
+) -> list[Place]:
+    """Let each vehicle decide on its next place, one after the other; returns where they may go.
+
+    decide: of a vehicle, from 0, and its moves. A way that is too near to another's is turned aside, or the
+    vehicle stays where it is.
+    """
     here = np.array(places, np.float64)
     chosen: list[Place] = []
-    for vehicle, (place, gas) in enumerate(zip(places, gases, strict=True)):
-        ways = np.stack([here[:vehicle], np.array(chosen).reshape(-1, 2)], axis=1)
+    for vehicle, place in enumerate(places):
+        ways = np.stack([here[:vehicle], np.array(chosen, np.float64).reshape(-1, 2)], axis=1)
         reach = Shared.of(within, ways, here[vehicle + 1 :], separation_m)
-        seen = msgspec.structs.replace(belief, position=place, gas=gas)
-        said = choose(name, seen, particles, seed_of(seed, vehicle + 1), reach)
-        chosen.append(reach.freed(place, said))
+        chosen.append(reach.freed(place, decide(vehicle, reach)))
     return chosen
+
+
+def seen_by(belief: Belief, place: Place, gas: float) -> Belief:
+    """Return a round's belief as the vehicle sees it that read this there."""
+    return msgspec.structs.replace(belief, position=place, gas=gas)
 
 
 def seed_of(seed: int, vehicle: int) -> int:

@@ -1,4 +1,4 @@
-"""Training: many missions in parallel, and the gymnasium environments over them.
+"""Training: many missions in parallel, and the environments over them.
 
-Imports: plume, plume.worlds, scene, estimator, agent, agent.planning.
+Imports: plume, plume.worlds, scene, estimator, agent, agent.planning, agent.trials.
 """

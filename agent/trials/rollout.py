@@ -9,19 +9,16 @@ from agent.planning.moves import Reach
 from agent.policies import DEFAULT, reach
 from agent.together import choose_all
 from agent.trials.fleet import ALONE, Fleet
-from estimator.belief import belief
+from agent.trials.rounds import Rounds
 from estimator.criterion import USUAL_THRESHOLD_M, chosen
-from estimator.filter import Config, Posterior, assimilate, prior
+from estimator.filter import Config, Posterior
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
-from plume.flight import TRY_AGAIN_S, leg_s
 from plume.outcome import Outcome, TracePoint, outcome
 from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, BUDGET_STEPS, Scenario, draw
-from plume.worlds.exposure import Before
 from plume.worlds.world import World
 
-ALTITUDE_M = 5.0
 OWN_MOVES: Mapping[str, float] = MappingProxyType({})  # the planner's own moves
 # Fields of `Config` that may be given for a mission; the others have arguments of their own, or come from the
 # scenario.
@@ -99,34 +96,19 @@ def _steps(
     ends: bool,
     fleet: Fleet,
 ) -> Iterator[Step]:
-    vehicles = range(fleet.vehicles)
-    worlds = [world.of_vehicle(vehicle + 1) for vehicle in vehicles]
-    starts = fleet.starts(world.start, world.seed, config.area_m)
-    posterior, positions, decision_s = prior(config), starts, 0.0
-    time_s, places, before = 0.0, starts, [None] * fleet.vehicles
+    rounds = Rounds(world, config, fleet.starts(world.start, world.seed, config.area_m))
+    positions, decision_s = rounds.places, 0.0
     for step in range(budget + 1):
-        time_s += max(
-            float(leg_s(places[i], positions[i])) + world.sensor.dwell + TRY_AGAIN_S * worlds[i].loses(step)
-            for i in vehicles
-        )
-        while world.warms_up(time_s):
-            time_s += TRY_AGAIN_S
-        places = positions
-        readings: list[Reading] = []
-        for i, place in enumerate(places):
-            gas, wind = worlds[i].measure(place, step, time_s, before[i])
-            before[i] = Before(place, time_s, gas)
-            readings.append(Reading(step, place, ALTITUDE_M, wind, gas, i + 1))
-        began = time.process_time()
-        for reading in readings:
-            posterior = assimilate(posterior, reading, config)
-        summary, cloud = belief(posterior, reading, config)
-        yield Step(summary, cloud, posterior, readings, time.process_time() - began, decision_s)
-        if (ends and summary.ceased) or step == budget:
+        flown = rounds.fly(positions)
+        said = flown.belief
+        yield Step(said, flown.particles, flown.posterior, flown.readings, flown.update_s, decision_s)
+        if (ends and said.ceased) or step == budget:
             return
         began = time.process_time()
-        gases = [reading.gas for reading in readings]
-        positions = choose_all(policy, summary, cloud, agent_seed, within, places, gases, fleet.separation_m)
+        gases = [reading.gas for reading in flown.readings]
+        positions = choose_all(
+            policy, said, flown.particles, agent_seed, within, positions, gases, fleet.separation_m
+        )
         decision_s = time.process_time() - began
 
 

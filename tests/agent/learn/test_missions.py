@@ -12,7 +12,8 @@ import plume.worlds.air
 from agent.learn.missions import Missions
 from agent.observation import DIFFUSIVITY, FACTS, GAS, LIFETIME, RATE, SCHEMAS, X
 from agent.planning.moves import Headings
-from agent.trials.rollout import ALTITUDE_M, mission
+from agent.trials.rollout import mission
+from agent.trials.rounds import ALTITUDE_M
 from estimator.belief import belief
 from estimator.criterion import Criterion
 from estimator.filter import Config, assimilate, prior
