@@ -46,7 +46,7 @@ class Cell(NamedTuple):
     policy: str
     formation: str
     vehicles: int
-    how: str  # together, or alone
+    how: str  # together, or alone: then `vehicles` says which vehicle of the formation
 
 
 class Flown(msgspec.Struct, frozen=True):
@@ -80,42 +80,43 @@ def _together(seed: int, cell: Cell) -> Flown:
 
 
 def _alone(seed: int, cell: Cell) -> Flown:
-    """Fly each vehicle with a belief of its own; the first to stop ends the search of all."""
-    scenario, within = draw(seed), reach(cell.policy)
+    """Fly vehicle number `cell.vehicles` of a formation with a belief of its own."""
+    scenario, within, vehicle = draw(seed), reach(cell.policy), cell.vehicles
     first = World(scenario, seed)
-    starts = Fleet(cell.vehicles, cell.formation).starts(first.start, seed)
-    stops: list[tuple[int, bool]] = []
-    most = BUDGET_STEPS
-    for vehicle, start in enumerate(starts, 1):
-        world = first.of_vehicle(vehicle)
-        of_estimator = seed_of(derived_seed(seed, "estimator"), vehicle)
-        of_agent = seed_of(derived_seed(seed, "agent"), vehicle)
-        config = Config(
-            seed=of_estimator, rate=scenario.q, diffusivity=scenario.d, lifetime=scenario.tau, assume="field"
-        )
-        posterior, place = prior(config), start
-        for step in range(most + 1):
-            reading = Reading(step, place, ALTITUDE_M, world.wind, world.gas(place, step))
-            posterior = assimilate(posterior, reading, config)
-            said, particles = belief(posterior, reading, config)
-            if said.ceased:
-                ended = verdict(True, said.mean, scenario.source, said.outside)
-                stops.append((step, ended == "FALSE STOP"))
-                most = min(most, step)  # later ones need not be flown
-                break
-            place = choose(cell.policy, said, particles, of_agent, within)
-    moves, false_stop = min(stops, default=(BUDGET_STEPS, False))
-    return Flown(*cell, seed, bool(stops), false_stop, moves, float(moves * cell.vehicles))
+    world, place = first.of_vehicle(vehicle), Fleet(vehicle, cell.formation).starts(first.start, seed)[-1]
+    of_estimator, of_agent = (seed_of(derived_seed(seed, who), vehicle) for who in ("estimator", "agent"))
+    config = Config(
+        seed=of_estimator, rate=scenario.q, diffusivity=scenario.d, lifetime=scenario.tau, assume="field"
+    )
+    posterior = prior(config)
+    for step in range(BUDGET_STEPS + 1):
+        reading = Reading(step, place, ALTITUDE_M, world.wind, world.gas(place, step))
+        posterior = assimilate(posterior, reading, config)
+        said, particles = belief(posterior, reading, config)
+        if said.ceased or step == BUDGET_STEPS:
+            break
+        place = choose(cell.policy, said, particles, of_agent, within)
+    ended = verdict(said.ceased, said.mean, scenario.source, said.outside)
+    return Flown(*cell, seed, said.ceased, ended == "FALSE STOP", step, float(step))
+
+
+def first_of(own: Sequence[dict[int, Flown]]) -> dict[int, Flown]:
+    """Return the searches of vehicles that share nothing, by seed: the first of them to stop ends each."""
+    result: dict[int, Flown] = {}
+    for seed in set.intersection(*map(set, own)):
+        first = min((of_one[seed] for of_one in own), key=lambda row: (not row.ceased, row.moves))
+        result[seed] = msgspec.structs.replace(first, distance_m=float(len(own) * first.moves))
+    return result
 
 
 def cells_of(policies: Sequence[str], most: int) -> list[Cell]:
-    """Return all cells: one vehicle is the same alone and together."""
+    """Return all cells. Vehicle 1 alone is a fleet of one; on an edge starts depend on how many there are."""
     return [
         Cell(policy, formation, vehicles, how)
         for policy in policies
         for formation in FORMATIONS
         for vehicles in range(1, most + 1)
-        for how in ("together", "alone")[: 1 + (vehicles > 1)]
+        for how in ("together", "alone")[: 1 + (vehicles > 1 and formation != "edge")]
     ]
 
 
@@ -155,7 +156,8 @@ def table(rows: Sequence[Flown]) -> str:
 
     for cell in sorted((cell for cell in of_cell if cell.how == "together"), key=order):
         own, one = of_cell[cell], of_cell.get(cell._replace(vehicles=1), {})
-        apart = of_cell.get(cell._replace(how="alone"), {})
+        alone = [of_cell.get(cell._replace(vehicles=k, how="alone"), {}) for k in range(2, cell.vehicles + 1)]
+        apart = first_of([one, *alone]) if alone else {}
         metres = bootstrap(np.array([row.distance_m for row in own.values()])).text(1, 0)
         cells = [
             *(cell.policy, cell.formation, str(cell.vehicles), str(len(own))),

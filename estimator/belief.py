@@ -51,7 +51,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     gas = intermittency(posterior, config)
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
-        step=max(map(len, posterior.by_vehicle)) - 1,
+        step=max(len(posterior.readings[own]) for own in posterior.by_vehicle) - 1,
         position=reading.position,
         altitude_m=reading.altitude_m,
         gas=reading.gas,
@@ -92,7 +92,7 @@ def fit(posterior: Posterior, config: Config) -> float:
     """
     ranks = posterior.ranks
     for own in posterior.by_vehicle:
-        last = posterior.readings[own[-STUCK:], 5]
+        last = posterior.readings[own, 5][-STUCK:]
         if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
             return 0.0
     return 1.0 if len(ranks) < FEWEST else float(uniformity_p_value(ranks[-RECENT:]))
@@ -118,8 +118,8 @@ def one_wind(posterior: Posterior, config: Config) -> float:
     """
     if config.assume != "field" or {"u", "phi"} & set(config.priors):
         return 1.0
-    own_in_turn = np.concatenate(posterior.by_vehicle)
-    return float(one_wind_p_value(posterior.readings[own_in_turn, 3:5].copy()))
+    winds = posterior.readings[:, 3:5]
+    return float(one_wind_p_value(np.concatenate([winds[own] for own in posterior.by_vehicle])))
 
 
 def may_claim(p_value: float, better: float, readings: int) -> bool:
@@ -175,7 +175,7 @@ def locates(posterior: Posterior, spread: float, means: Array, config: Config) -
     )
 
 
-def stretch(ranks: Array, config: Config, by_vehicle: Sequence[Indices] = ()) -> float:
+def stretch(ranks: Array, config: Config, by_vehicle: "Sequence[Indices | slice]" = (slice(None),)) -> float:
     """Return how many times wider than the belief its errors may be, since neighbouring readings are alike.
 
     Gas that comes in gusts can stay above or below its mean for several readings. The filter takes them
@@ -185,7 +185,7 @@ def stretch(ranks: Array, config: Config, by_vehicle: Sequence[Indices] = ()) ->
 
     by_vehicle: the numbers of each vehicle's readings; by default they are all of one.
     """
-    recent = [ranks[own][-RUN:] - 0.5 for own in by_vehicle or [slice(None)]]
+    recent = [ranks[own][-RUN:] - 0.5 for own in by_vehicle]
     power = sum(float(np.sum(own * own)) for own in recent)
     if not config.intermittent or sum(map(len, recent)) < FEWEST or not power:
         return 1.0

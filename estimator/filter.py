@@ -192,10 +192,10 @@ class Posterior:
     vehicles: Indices | None = None
 
     @property
-    def by_vehicle(self) -> list[Indices]:
+    def by_vehicle(self) -> "list[Indices | slice]":
         """The numbers of each vehicle's readings, in their order."""
         if self.vehicles is None:
-            return [np.arange(len(self.readings))]
+            return [slice(None)]
         return [np.flatnonzero(self.vehicles == vehicle) for vehicle in np.unique(self.vehicles)]
 
     @property

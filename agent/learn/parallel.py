@@ -25,7 +25,7 @@ from plume.worlds.world import World
 OF_FLEET = ("vehicles", "formation", "separation_m")
 
 
-class SourceSearchParallel(ParallelEnv[str, Observation, Any]):
+class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
     """Vehicles that search together for a gas source; one mission is one episode.
 
     The agents are `uav_1`, `uav_2`, … Each has the observations, actions and rewards of `SourceSearch`, where
@@ -72,7 +72,7 @@ class SourceSearchParallel(ParallelEnv[str, Observation, Any]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Begin the mission of a seed, by default the next of those of training, and take its first readings."""
+        """Begin the mission of a seed, by default one of those of training; takes its first readings."""
         if seed is not None:
             self._rng, _ = np_random(seed)
         self._seed = int(self._rng.integers(TRAINING_SEEDS)) if seed is None else int(seed)
@@ -126,9 +126,8 @@ class SourceSearchParallel(ParallelEnv[str, Observation, Any]):
         ceased = self._round.belief.ceased
         spent = not ceased and self._rounds.number > self.settings.budget
         observations, told = self._observations, self._told()
-        rewards, ends, cuts = (
-            dict.fromkeys(self.agents, value) for value in (step + stop * ceased, ceased, spent)
-        )
+        rewards = dict.fromkeys(self.agents, step + stop if ceased else step)
+        ends, cuts = dict.fromkeys(self.agents, ceased), dict.fromkeys(self.agents, spent)
         if ceased or spent:
             self.agents = []
         return observations, rewards, ends, cuts, told

@@ -110,7 +110,7 @@ def test_each_vehicle_has_its_own_noise_and_the_first_that_of_one_alone() -> Non
 
 
 def test_a_sensor_that_lags_follows_its_own_readings_not_another_vehicles() -> None:
-    sensor = parse("mox")
+    sensor = parse("tgs2611")
     flown = mission(3, "homing", 100, 0.01, 2, fleet=Fleet(2, "corners"), sensor=sensor)
     *_, last = flown.steps
     rows = last.posterior.readings
