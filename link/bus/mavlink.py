@@ -224,7 +224,7 @@ def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
         (-wind["wind_y"], -wind["wind_x"]),
         gas["value"],
     )
-    for name, field in zip(("position", "altitude", "wind", "gas"), reading[1:], strict=True):
+    for name, field in zip(("position", "altitude", "wind", "gas"), reading[1:5], strict=True):
         if not all(map(math.isfinite, field if isinstance(field, tuple) else (field,))):
             raise BadFrame(f"{name} is not finite: {field}", "not finite")
     return reading

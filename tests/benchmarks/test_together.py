@@ -7,7 +7,9 @@ from benchmarks.together import ROWS, Cell, Flown, cells_of, first_of, read, tab
 ROOT = Path(__file__).parents[2]
 
 
-def row(vehicles: int, how: str, seed: int, moves: int, ceased: bool = True, false_stop: bool = False) -> Flown:
+def row(
+    vehicles: int, how: str, seed: int, moves: int, ceased: bool = True, false_stop: bool = False
+) -> Flown:
     return Flown("homing", "corners", vehicles, how, seed, ceased, false_stop, moves, float(moves * vehicles))
 
 
@@ -16,7 +18,11 @@ def test_the_page_shows_the_table_of_the_rows() -> None:
 
 
 def test_the_first_to_stop_ends_the_search_of_vehicles_that_share_nothing() -> None:
-    one = {1: row(1, "together", 1, 40), 2: row(1, "together", 2, 10, ceased=False), 3: row(1, "together", 3, 9)}
+    one = {
+        1: row(1, "together", 1, 40),
+        2: row(1, "together", 2, 10, ceased=False),
+        3: row(1, "together", 3, 9),
+    }
     two = {1: row(2, "alone", 1, 30, false_stop=True), 2: row(2, "alone", 2, 50)}
     first = first_of([one, two])
     assert {seed: (said.moves, said.distance_m, said.false_stop) for seed, said in first.items()} == {
