@@ -44,12 +44,14 @@ def _add_policy_arguments(parser: argparse.ArgumentParser, of: str) -> None:
 
 def _add_rollout_arguments(parser: argparse.ArgumentParser) -> None:
     from agent.trials.evaluate import add_world_argument
+    from agent.trials.fleet import add_fleet_arguments
     from estimator.options import add_sensor_argument
 
     _add_policy_arguments(parser, "mission")
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
     add_world_argument(parser)
+    add_fleet_arguments(parser)
     cli.add_output_arguments(parser)
 
 
@@ -97,8 +99,10 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
     try:
         if args.command in ("rollout", "evaluate"):
             from agent.trials.evaluate import choose_problem
+            from agent.trials.fleet import fleet_given
 
             choose_problem(args)
+            args.fleet = fleet_given(args)
         if args.command is None:
             args.problem = problem_of(args)
         if args.command in (None, "rollout"):
@@ -127,6 +131,9 @@ def _rollout(args: argparse.Namespace) -> None:
         problem=args.problem,
         world=args.world,
         stop=stop.text,
+        vehicles=args.fleet.vehicles,
+        formation=args.fleet.formation,
+        separation_m=args.fleet.separation_m,
         **args.knowledge,
     )
     tell(outcome_text(result), sys.stderr if args.json else sys.stdout)

@@ -1,7 +1,7 @@
 """The messages after a reading: the belief, its particles, and the stop (AGDC)."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from estimator.kernels.weights import effective_sample_size, moments, weighted_m
 from estimator.priors import Fixed
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles, Stop
-from plume.elementary import Array, direction
+from plume.elementary import Array, Indices, direction
 from plume.parameters import PARAMETERS
 from plume.scenario import INCOMPATIBLE, SURE_OUTSIDE
 
@@ -51,7 +51,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     gas = intermittency(posterior, config)
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
-        step=len(posterior.readings) - 1,
+        step=max(len(posterior.readings[own]) for own in posterior.by_vehicle) - 1,
         position=reading.position,
         altitude_m=reading.altitude_m,
         gas=reading.gas,
@@ -90,9 +90,11 @@ def fit(posterior: Posterior, config: Config) -> float:
 
     It tests whether their ranks in their predictive distributions are uniform.
     """
-    last, ranks = posterior.readings[-STUCK:, 5], posterior.ranks
-    if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
-        return 0.0
+    ranks = posterior.ranks
+    for own in posterior.by_vehicle:
+        last = posterior.readings[own, 5][-STUCK:]
+        if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
+            return 0.0
     return 1.0 if len(ranks) < FEWEST else float(uniformity_p_value(ranks[-RECENT:]))
 
 
@@ -116,7 +118,8 @@ def one_wind(posterior: Posterior, config: Config) -> float:
     """
     if config.assume != "field" or {"u", "phi"} & set(config.priors):
         return 1.0
-    return float(one_wind_p_value(posterior.readings[:, 3:5].copy()))
+    winds = posterior.readings[:, 3:5]
+    return float(one_wind_p_value(np.concatenate([winds[own] for own in posterior.by_vehicle])))
 
 
 def may_claim(p_value: float, better: float, readings: int) -> bool:
@@ -162,28 +165,32 @@ def locates(posterior: Posterior, spread: float, means: Array, config: Config) -
 
     spread and means (D,) are those of the posterior. `stretch` says how alike readings are.
     """
+    wider = stretch(posterior.ranks, config, posterior.by_vehicle)
     if config.within is None:
-        return spread < config.threshold_m and spread * stretch(posterior.ranks, config) < config.threshold_m
+        return spread < config.threshold_m and spread * wider < config.threshold_m
     radius_m, wanted = config.within
     return (
         share_within(radius_m, posterior, means, config) >= wanted
-        and share_within(radius_m / stretch(posterior.ranks, config), posterior, means, config) >= wanted
+        and share_within(radius_m / wider, posterior, means, config) >= wanted
     )
 
 
-def stretch(ranks: Array, config: Config) -> float:
+def stretch(ranks: Array, config: Config, by_vehicle: "Sequence[Indices | slice]" = (slice(None),)) -> float:
     """Return how many times wider than the belief its errors may be, since neighbouring readings are alike.
 
     Gas that comes in gusts can stay above or below its mean for several readings. The filter takes them
     for independent. Then T readings are worth T (1 − ρ) / (1 + ρ), where ρ is the correlation of
     neighbours (Bayley and Hammersley 1946), and the errors grow by the root of its inverse. ρ is that of
     the last `RUN` ranks about ½; a negative one counts as 0. It is 1 for gas that is taken to be steady.
+
+    by_vehicle: the numbers of each vehicle's readings; by default they are all of one.
     """
-    recent = ranks[-RUN:] - 0.5
-    power = float(np.sum(recent * recent))
-    if not config.intermittent or len(recent) < FEWEST or not power:
+    recent = [ranks[own][-RUN:] - 0.5 for own in by_vehicle]
+    power = sum(float(np.sum(own * own)) for own in recent)
+    if not config.intermittent or sum(map(len, recent)) < FEWEST or not power:
         return 1.0
-    correlation = max(float(np.sum(recent[1:] * recent[:-1])) / power, 0.0)
+    products = sum(float(np.sum(own[1:] * own[:-1])) for own in recent)
+    correlation = max(products / power, 0.0)
     return math.sqrt((1 + correlation) / (1 - correlation))
 
 

@@ -191,6 +191,15 @@ class Posterior:
     readings: Array
     # (T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right.
     ranks: Array
+    # (T,) which vehicle of a fleet took each reading, from 1; None: one vehicle took all.
+    vehicles: Indices | None = None
+
+    @property
+    def by_vehicle(self) -> "list[Indices | slice]":
+        """The numbers of each vehicle's readings, in their order."""
+        if self.vehicles is None:
+            return [slice(None)]
+        return [np.flatnonzero(self.vehicles == vehicle) for vehicle in np.unique(self.vehicles)]
 
     @property
     def sample(self) -> WeightedSample:
@@ -233,7 +242,10 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
         ```
     """
     sample = WeightedSample(*(array.copy() for array in posterior.sample))
-    before = posterior.readings[-1] if len(posterior.readings) else None
+    earlier = np.ones(len(posterior.readings), np.int64) if posterior.vehicles is None else posterior.vehicles
+    own = np.flatnonzero(earlier == reading.vehicle)  # an instrument follows its own readings only
+    before = posterior.readings[own[-1]] if len(own) else None
     readings = np.vstack([posterior.readings, config.row(reading, before)])
     rank = update(sample, readings, config.model, config.seed, config.sweeps)
-    return Posterior(*sample, readings, np.append(posterior.ranks, rank))
+    vehicles = np.append(earlier, reading.vehicle)
+    return Posterior(*sample, readings, np.append(posterior.ranks, rank), vehicles)

@@ -71,6 +71,7 @@ class TracePoint(msgspec.Struct, frozen=True):
     reading: float
     mean: tuple[float, float]
     spread: float
+    vehicle: int = 1
 
 
 class Outcome(msgspec.Struct, frozen=True):
@@ -87,8 +88,8 @@ class Outcome(msgspec.Struct, frozen=True):
     scenario: Scenario | None  # the truth; in most worlds it differs from what the estimator assumes
     error_m: float | None
     spread_m: float
-    steps: int
-    distance_m: float
+    steps: int  # moves of each vehicle
+    distance_m: float  # of all vehicles
     search_time_s: float  # compute time of estimator and agent, summed over the mission
     assume: str  # what the estimator took to be known
     stop: str  # the stop criterion, in the form of --stop
@@ -105,6 +106,12 @@ class Outcome(msgspec.Struct, frozen=True):
     rate_gs: float | None = None  # the release rate that was believed, or told if it was known
     rate_interval_gs: tuple[float, float] | None = None  # its 95% interval; None if it was known
     units: dict[str, str] = {}  # by the ending of a field's name
+    distances_m: tuple[float, ...] = ()  # of each vehicle, in their order
+
+    @property
+    def vehicles(self) -> int:
+        """How many vehicles flew it."""
+        return len(self.distances_m)
 
 
 def verdict(
@@ -163,6 +170,12 @@ def outcome(
     ended = verdict(ceased, last.mean, source, outside_share, area)
     error_m = math.dist(last.mean, source) if source else None
     latitude_deg, longitude_deg = on_earth(home, last.mean)
+    paths = [
+        [point.position for point in trace if point.vehicle == vehicle]
+        for vehicle in range(1, max(point.vehicle for point in trace) + 1)
+    ]
+    # `sum` differs between Pythons
+    distances_m = [reduce(add, (math.dist(a, b) for a, b in pairwise(path)), 0.0) for path in paths]
     return Outcome(
         seed=seed,
         policy=policy,
@@ -173,10 +186,8 @@ def outcome(
         scenario=scenario,
         error_m=error_m,
         spread_m=last.spread,
-        steps=len(trace) - 1,
-        distance_m=reduce(
-            add, (math.dist(a.position, b.position) for a, b in pairwise(trace)), 0.0
-        ),  # `sum` differs between Pythons
+        steps=max(map(len, paths)) - 1,
+        distance_m=reduce(add, distances_m),
         search_time_s=search_time_s,
         assume=assume,
         stop=stop,
@@ -192,6 +203,7 @@ def outcome(
         rate_gs=last_word and last_word.rate,
         rate_interval_gs=last_word and last_word.rate_interval,
         units=dict(UNITS),
+        distances_m=tuple(distances_m),
     )
 
 
@@ -233,8 +245,9 @@ def outcome_text(result: Outcome) -> str:
         if result.source
         else ""
     )
+    of_all = f" of {result.vehicles} vehicles" if result.vehicles > 1 else ""
     return (
-        f"{ended} after {result.steps} steps, {result.distance_m:.1f} m\n"
+        f"{ended} after {result.steps} steps{of_all}, {result.distance_m:.1f} m\n"
         f"estimate ({x:.2f}, {y:.2f}) ± {result.spread_m:.2f} m\n"
         f"{source}{assumed_text(result.assume, result.stop, result.world)}"
     ) + "".join(f"\n{line}" for line in gas_lines(result.intermittency, result.advised_dwell_s))

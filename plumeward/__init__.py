@@ -22,6 +22,7 @@ from plumeward.names import check, leave_out_the_current_folder
 TYPE_CHECKING = False  # `typing` itself takes longer to load than the rest of this file
 if TYPE_CHECKING:
     from agent.learn.env import SourceSearch, SourceSearchVector
+    from agent.learn.parallel import SourceSearchParallel
     from agent.policies import policies
     from agent.trials.rollout import rollout
     from estimator.belief import belief
@@ -54,6 +55,7 @@ WHERE = {
     "read_record": "link.record.reader:read",
     "SourceSearch": "agent.learn.env",
     "SourceSearchVector": "agent.learn.env",
+    "SourceSearchParallel": "agent.learn.parallel",
     "Outcome": "plume.outcome",
     "TracePoint": "plume.outcome",
     "Posterior": "estimator.filter",
@@ -72,6 +74,7 @@ __all__ = [
     "Recording",
     "Scenario",
     "SourceSearch",
+    "SourceSearchParallel",
     "SourceSearchVector",
     "TracePoint",
     "World",

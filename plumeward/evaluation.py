@@ -6,6 +6,7 @@ from typing import Any
 
 from agent.policies import DEFAULT
 from agent.trials.evaluate import FIRST_TEST_SEED, named
+from agent.trials.fleet import ALONE, Fleet
 from agent.trials.rollout import check as check_knowledge
 from agent.trials.sweep import Sweep, fly, on_cores, ordered
 from estimator.criterion import USUAL_THRESHOLD_M, chosen
@@ -27,6 +28,9 @@ def evaluate(
     world: str | Sequence[str] | None = None,
     assume: str = "field",
     stop: str | None = None,
+    vehicles: int = ALONE.vehicles,
+    formation: str = ALONE.formation,
+    separation_m: float = ALONE.separation_m,
     **knowledge: Any,
 ) -> dict[str, Any]:
     """Fly the same missions with each policy and return the figures of each.
@@ -47,14 +51,16 @@ def evaluate(
         stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
             when at least 99% of the belief is
             within 1 m of the estimate.
+        vehicles: Vehicles that search together, with `formation` and `separation_m` as
+            `plumeward.rollout` takes them.
         knowledge: Further fields of `plumeward.Config`, as `plumeward.rollout` takes them.
 
     Returns:
         A dict with an entry for each policy, as `plumeward evaluate --json` prints it; of several worlds
         each has its own, such as `"homing world=wind-30"`. `ceased`, `located` and `false_stop` are shares
-        from 0 to 1, `mtd_m` is the mean distance travelled (m), `search_time_s` the processor time of a
-        search (s), `nees_mean` is 2 for an honest posterior. `located_interval` and the like are their 95%
-        intervals, `[low, high]`.
+        from 0 to 1, `mtd_m` is the mean distance travelled (m) by all vehicles and `moves` the mean number
+        of moves of each, `search_time_s` the processor time of a search (s), `nees_mean` is 2 for an honest
+        posterior. `located_interval` and the like are their 95% intervals, `[low, high]`.
 
     Raises:
         ValueError: A policy or a world is not known, a number is out of range, or the assumption or the
@@ -85,6 +91,7 @@ def evaluate(
         knowledge={**knowledge, "assume": assume},
         worlds=worlds,
         problem=searched,
+        fleet=Fleet(vehicles, formation, separation_m).within(searched),
     )
     by_seed = (list(flights) for _, flights in groupby(sweep.flights, key=lambda flight: flight[2]))
     flown = (

@@ -1,4 +1,5 @@
-"""Training: many missions in parallel, and the gymnasium environments over them.
+"""Training: many missions in parallel, and the environments over them.
 
-Imports: plume, plume.sensors, plume.worlds, plume.problems, scene, estimator, agent, agent.planning.
+Imports: plume, plume.sensors, plume.worlds, plume.problems, scene, estimator, agent, agent.planning,
+agent.trials.
 """

@@ -17,5 +17,7 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     hypotheses = cloud(belief, particles)
     east, north = (moves[:, axis, None] - hypotheses.places[axis] for axis in (0, 1))  # (A, N)
     squared = east * east + north * north
-    imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, squared[:, None])
+    imagined = imagine(
+        belief, hypotheses, moves, reach.measurements, rng, squared[:, None], before=reach.foreseen()
+    )
     return int(np.argmin(imagined.expectations.mean(axis=(1, 2))))

@@ -15,6 +15,6 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     estimated from hypothetical readings. The mean of −log p(z) estimates the same, with much more scatter.
     """
     moves, hypotheses = reach.moves(belief.position), cloud(belief, particles)
-    imagined = imagine(belief, hypotheses, moves, reach.measurements, rng)
+    imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, before=reach.foreseen())
     of_noise = hypotheses.mean(parse(belief.sensor).entropy(imagined.means, *imagined.noises))
     return int(np.argmax(imagined.gains.mean(axis=1) + of_noise))

@@ -13,7 +13,9 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     moves = reach.moves(belief.position)
     hypotheses = cloud(belief, particles)
     log_weights = log_each(np.maximum(hypotheses.weights, 1e-300))
-    imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, log_weights[None])
+    imagined = imagine(
+        belief, hypotheses, moves, reach.measurements, rng, log_weights[None], before=reach.foreseen()
+    )
     # w' = w · likelihood / predictive density. The entropy is −Σ w' log w'.
     entropies = imagined.log_predictive - imagined.log_likelihood - imagined.expectations[:, :, 0]
     return int(np.argmax(entropies.mean(axis=1)))

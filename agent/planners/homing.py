@@ -22,26 +22,37 @@ PROGRESS = 0.75
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the least D(p) + c · E[spread after a reading at p], p two steps ahead.
 
-    The spread S is `entropy_spread`; `scores` has D(p).
+    The spread S is `entropy_spread`; `scores` has D(p). In a fleet the readings that others will have taken
+    are expected first, as if they flew on: p is worth what it tells beyond them.
     """
     moves = reach.moves(belief.position)
     places = reach.area.clipped(belief.position + AHEAD * (moves - belief.position))
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
-    gains = imagine(belief, hypotheses, places, reach.measurements, rng).gains
+    before = reach.foreseen(AHEAD)
+    imagined = imagine(belief, hypotheses, places, reach.measurements, rng, before=before)
     spread = entropy_spread(hypotheses, belief.spread)
-    spreads = spread * exp_each(-gains / 2).mean(axis=1)
+    spreads = spread * exp_each(-imagined.gains / 2).mean(axis=1)
+    anyway = spread * float(exp_each(-imagined.gains_before / 2).mean()) if len(before) else spread
     here = hypotheses.mean(hypotheses.distances(np.array(belief.position)))
     flown = lengths(places - belief.position)
-    return int(np.argmin(scores(hypotheses, hypotheses.distances(places), here, spread, spreads, flown)))
+    distances = hypotheses.distances(places)
+    return int(np.argmin(scores(hypotheses, distances, here, spread, spreads, flown, anyway)))
 
 
 def scores(
-    hypotheses: Cloud, distances: Array, here: Array, spread: float, spreads: Array, flown: Array
+    hypotheses: Cloud,
+    distances: Array,
+    here: Array,
+    spread: float,
+    spreads: Array,
+    flown: Array,
+    anyway: float | None = None,
 ) -> Array:
     """D(p) + c · E[spread after a reading at p] of places: (A,).
 
     distances: (A, N) from each place to each hypothesis.  here: expected distance from the vehicle, as ().
     spread: S now.  spreads: (A,) expected after a reading.  flown: (A,) from the vehicle to the place.
+    anyway: spread expected after the readings of other vehicles, `spread` by default.
 
     D(p) is E‖p − s‖, over the current belief: by the law of total expectation, a reading does not change it
     on average. Where no place lessens the score by PROGRESS for each metre flown, D(p) is
@@ -49,7 +60,8 @@ def scores(
     factor e by which that part is improbable.
     """
     result = hypotheses.mean(distances) + WEIGHT * spreads
-    if np.all(result > here + WEIGHT * spread - PROGRESS * flown):
+    now = here + WEIGHT * (spread if anyway is None else anyway)
+    if np.all(result > now - PROGRESS * flown):
         nearest = distances.min(axis=1, where=hypotheses.weights > 0, initial=np.inf)
         # Shares of e^(nearest/S), against underflow.
         shares = hypotheses.mean(exp_each(np.minimum(nearest[:, None] - distances, 0.0) / spread))

@@ -9,9 +9,6 @@ from link.bus.messages import Belief, Particles
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the greatest expected information gain (Vergassola 2007; Hutchinson 2018, eq. 14)."""
-    moves = reach.moves(belief.position)
-    return int(
-        np.argmax(
-            imagine(belief, cloud(belief, particles), moves, reach.measurements, rng).gains.mean(axis=1)
-        )
-    )
+    moves, hypotheses = reach.moves(belief.position), cloud(belief, particles)
+    imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, before=reach.foreseen())
+    return int(np.argmax(imagined.gains.mean(axis=1)))

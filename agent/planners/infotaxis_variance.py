@@ -10,6 +10,5 @@ from link.bus.messages import Belief, Particles
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the least expected trace of the location's covariance."""
     moves = reach.moves(belief.position)
-    return int(
-        np.argmin(variances(belief, cloud(belief, particles), moves, reach.measurements, rng).mean(axis=1))
-    )
+    hypotheses, before = cloud(belief, particles), reach.foreseen()
+    return int(np.argmin(variances(belief, hypotheses, moves, reach.measurements, rng, before).mean(axis=1)))

@@ -25,7 +25,8 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     flown = lengths(paths - belief.position)  # (A, L)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
     distances = hypotheses.mean(hypotheses.distances(paths))  # (A, L)
-    gains = imagine_along(belief, hypotheses, paths, reach.measurements, rng).gains
+    before = reach.foreseen(AHEAD[0])
+    gains = imagine_along(belief, hypotheses, paths, reach.measurements, rng, before=before).gains
     spreads = entropy_spread(hypotheses, belief.spread) * exp_each(-gains / 2).mean(axis=2)
     return int(np.argmin(scores(flown, distances, spreads)))
 

@@ -19,7 +19,9 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     moves, cell_m = reach.moves(belief.position), reach.step
     hypotheses = cloud(belief, particles)
     distances = np.abs(moves[:, :, None] - hypotheses.places).sum(axis=1) / cell_m  # (A, N)
-    imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, distances[:, None])
+    imagined = imagine(
+        belief, hypotheses, moves, reach.measurements, rng, distances[:, None], before=reach.foreseen()
+    )
     shares = shares_of_cells(hypotheses, cell_m)
     entropy = -np.sum(shares * log_each(shares))
     entropies = np.maximum(entropy - imagined.gains, 0.0)  # (A, K), nats

@@ -48,6 +48,10 @@ class Reach:
         places = (np.asarray(position) + self.step * self.directions).astype(np.float32).astype(np.float64)
         return np.asarray(places[self.area.held(places)])
 
+    def foreseen(self, _steps: float = 1.0) -> Array:
+        """Return where other vehicles take readings before this one, (F, 2) m: there are none."""
+        return np.empty((0, 2))
+
     @cached_property
     def directions(self) -> Array:
         """Unit vectors (A, 2) of the headings."""

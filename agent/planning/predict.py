@@ -17,6 +17,7 @@ from plume.sensors.names import Sensor, parse, sensor_row
 from plume.sensors.response import settled_readings
 from plume.sensors.sensor import Gaussian
 
+NOWHERE: Array = np.empty((0, 2))
 CELLS_A_SPREAD = 4  # cells per spread in `entropy_spread`
 # Most cells of a grid that is counted in whole; cells beyond ±FAR count as those at ±FAR.
 MOST_CELLS, FAR = 1_000_000, 2.0**30
@@ -64,6 +65,7 @@ class Imagined:
     means: Array  # (A, N): concentration at each place under each particle, g/m³
     # (2, N): each particle's factor on the sensor's noise, and its intermittency (cv) of the gas.
     noises: Array
+    gains_before: Array  # (K,): as `gains`, of the readings before those at the places
 
     @property
     def gains(self) -> Array:
@@ -127,22 +129,25 @@ def imagine(
     number: int,
     rng: np.random.Generator,
     values: Array | None = None,
+    before: Array = NOWHERE,
 ) -> Imagined:
     """Draw `number` readings at each place (A, 2) m, and reweight the belief by each.
 
     They are drawn from the predictive distribution there. values: (F, N) or (A, F, N) values of the
-    particles, whose expectations are wanted.  The draws are stratified over the belief. All places share the
+    particles, whose expectations are wanted.  before: (B, 2) m where readings are taken before; results
+    include them, as along a path.  The draws are stratified over the belief. All places share the
     same random numbers, so that chance does not decide between them.
     """
     if values is not None:
         values = values[None, None] if values.ndim == 2 else values[:, None]
-    along = imagine_along(belief, hypotheses, places[:, None], number, rng, values)
+    along = imagine_along(belief, hypotheses, places[:, None], number, rng, values, before)
     return Imagined(
         along.log_predictive[:, 0],
         along.log_likelihood[:, 0],
         along.expectations[:, 0],
         along.means[:, 0],
         along.noises,
+        along.gains_before,
     )
 
 
@@ -153,12 +158,15 @@ def imagine_along(
     number: int,
     rng: np.random.Generator,
     values: Array | None = None,
+    before: Array = NOWHERE,
 ) -> Imagined:
     """Do the same along paths (A, L, 2) m: results (A, L, K) include the path's readings before a place.
 
-    values: (A, L, F, N).
+    values: (A, 1, F, N), or (A, L, F, N) if nothing is read `before`.
     """
-    sensor = parse(belief.sensor)
+    sensor, first = parse(belief.sensor), len(before)
+    if first:
+        paths = np.concatenate([np.broadcast_to(before, (len(paths), first, 2)), paths], axis=1)
     means = concentrations(belief, hypotheses, paths.reshape(-1, 2)).reshape(*paths.shape[:2], -1)
     noises = _noises(belief, hypotheses)
     cumulative = np.cumsum(hypotheses.weights)
@@ -176,7 +184,9 @@ def imagine_along(
     said = kernels.imagine(
         means, hypotheses.weights, np.ascontiguousarray(values), drawn, readings, sensor_row(sensor), noises
     )
-    return Imagined(*said, means, noises)
+    log_predictive, log_likelihood, expectations = (result[:, first:] for result in said)
+    gains_before = (said[1] - said[0])[0, first - 1] if first else np.zeros(number)
+    return Imagined(log_predictive, log_likelihood, expectations, means[:, first:], noises, gains_before)
 
 
 def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Generator) -> Array:
@@ -216,11 +226,19 @@ def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
 
 
 def variances(
-    belief: Belief, hypotheses: Cloud, places: Array, number: int, rng: np.random.Generator
+    belief: Belief,
+    hypotheses: Cloud,
+    places: Array,
+    number: int,
+    rng: np.random.Generator,
+    before: Array = NOWHERE,
 ) -> Array:
-    """Trace of the location's covariance after hypothetical readings at places (A, 2) m: (A, K) m²."""
+    """Trace of the location's covariance after hypothetical readings at places (A, 2) m: (A, K) m².
+
+    before: as of `imagine`.
+    """
     # Offsets from the mean limit cancellation below.
     offsets = hypotheses.places - hypotheses.mean(hypotheses.places)[:, None]
     values = np.vstack([offsets, np.square(offsets).sum(axis=0)])
-    expected = imagine(belief, hypotheses, places, number, rng, values).expectations
+    expected = imagine(belief, hypotheses, places, number, rng, values, before).expectations
     return np.asarray(np.maximum(expected[:, :, 2] - np.square(expected[:, :, :2]).sum(axis=2), 0.0))

@@ -20,7 +20,8 @@ from typing import IO, Any, TextIO, cast
 import msgspec
 
 from agent.policies import add_policy_argument, bundle_path, reach
-from agent.trials.figures import COLUMNS, MissionRow, cell, figures
+from agent.trials.figures import COLUMNS, OF_FLEETS, MissionRow, cell, figures
+from agent.trials.fleet import add_fleet_arguments
 from agent.trials.workers import WorkerLost
 from estimator.options import add_sensor_argument, criteria, knowledge
 from link import cli
@@ -43,6 +44,7 @@ SHOWN = {
     "located": (0, "located"),
     "outside": (1, "outside"),
     "false_stop": (1, "false stop"),
+    "moves": (2, "moves"),
     "mtd_m": (2, "MTD"),
     "mtd_floors": (4, "MTD in floors"),
     "search_time_s": (5, "ST"),
@@ -55,6 +57,7 @@ SHARED = {
     "ζ, m": "ζ = {} m",
     "stop": "stop {}",
     "assume": "assume {}",
+    "vehicles": "{} vehicles",
     "missions": "{} missions each",
 }
 SETTINGS = re.compile(" (?:world|particles|stop)=")  # where the settings in a key of `named` begin
@@ -106,6 +109,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cli.add_filter_arguments(parser, several=True)
     add_sensor_argument(parser)
     add_world_argument(parser, several=True)
+    add_fleet_arguments(parser)
     parser.add_argument(
         "--missions",
         type=Path,
@@ -183,6 +187,7 @@ def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
         args.knowledge,
         worlds=args.worlds,
         problem=args.problem,
+        fleet=args.fleet,
     )
     journal = journal_of(sweep, KEPT_IN)
     workers = f"{args.workers} worker{'s' * (args.workers > 1)}"
@@ -323,12 +328,13 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
         "N": [f"{row['particles']:,}" for row in said],
         **stops,
         "assume": [row["assume"] for row in said],
+        "vehicles": [str(row["vehicles"]) for row in said],
         "missions": [f"{row['missions']:,}" for row in said],
     }
     shared = [
         SHARED[name].format(cells[0])
         for name, cells in settings.items()
-        if len(set(cells)) == 1 and cells[0] != AS_MODELLED
+        if len(set(cells)) == 1 and cells[0] != AS_MODELLED and (name, cells[0]) != ("vehicles", "1")
     ]
     columns = [
         Column(
@@ -344,9 +350,10 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
             if len(set(cells)) > 1
         ),
         *(
-            Column(COLUMNS[key][0], [cell(row, key) for row in said], rank, name, stacks=True)
+            Column((COLUMNS | OF_FLEETS)[key][0], [cell(row, key) for row in said], rank, name, stacks=True)
             for key, (rank, name) in SHOWN.items()
             if key != "outside" or any(row[key] for row in said)
+            if key != "moves" or any(row["vehicles"] > 1 for row in said)
         ),
     ]
     tell(table(columns, width_of(stream), elsewhere, above=[", ".join([*shared, "[95% interval]"])]), stream)

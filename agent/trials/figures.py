@@ -27,6 +27,8 @@ COLUMNS = {
     "decision_ms": ("decision, ms", 1.0, 2),
     "update_ms": ("update, ms", 1.0, 2),
 }
+# The same of fleets, beside those.
+OF_FLEETS = {"moves": ("moves", 1.0, 1), "mtd_vehicle_m": ("MTD of each, m", 1.0, 1)}
 UNKNOWN = "–"
 
 
@@ -77,6 +79,10 @@ class MissionRow(msgspec.Struct, frozen=True):
     outside: bool = False  # the stop said that the source is outside the area, and that is not false
     # The problem, without what has a column of its own, in the form of --problem.
     problem: str = "paper"
+    # Vehicles that searched together: `steps` are moves of each, `distance_m` is that of all.
+    vehicles: int = 1
+    start_from: str = "point"  # where they started, in the form of --from
+    separation_m: float | None = None  # least distance between the ways of two vehicles; None of one alone
 
     @property
     def false_stop(self) -> bool:
@@ -174,6 +180,8 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
         "false_stop": wilson(len(wrong), len(ceased)),
         "false_stop_warned": wilson(sum(row.warned for row in wrong), len(wrong)),
         "mtd_m": mean_of("distance_m"),
+        "mtd_vehicle_m": bootstrap(np.array([row.distance_m / row.vehicles for row in ceased])),
+        "moves": mean_of("steps"),
         "floor_m": bootstrap(both[:, 1]),
         "mtd_floors": bootstrap(both, lambda pairs: pairs[..., 0].mean(axis=1) / pairs[..., 1].mean(axis=1)),
         "nees_mean": mean_of("nees"),
@@ -190,6 +198,7 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
         "world": first.world,
         "assume": first.assume,
         "stop": first.criterion,
+        "vehicles": first.vehicles,
     }
     for name, interval in intervals.items():
         known = not math.isnan(interval.value)
@@ -202,5 +211,5 @@ def cell(said: dict[str, Any], key: str) -> str:
     """Return a figure with its interval as tables show it."""
     if said[key] is None:
         return UNKNOWN
-    _, scale, digits = COLUMNS[key]
+    _, scale, digits = (COLUMNS | OF_FLEETS)[key]
     return Interval(said[key], *said[f"{key}_interval"]).text(scale, digits)

@@ -1,25 +1,25 @@
 """A mission flown in-process, without the network, with bit-identical results."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from agent.planning.moves import Reach
-from agent.policies import DEFAULT, choose, reach
-from estimator.belief import belief
+from agent.policies import DEFAULT, reach
+from agent.together import choose_all
+from agent.trials.fleet import ALONE, Fleet
+from agent.trials.rounds import Rounds
 from estimator.criterion import USUAL_THRESHOLD_M, chosen
-from estimator.filter import Config, Posterior, assimilate, prior
+from estimator.filter import Config, Posterior
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
-from plume.flight import TRY_AGAIN_S, leg_s
 from plume.geodesy import HOME
 from plume.outcome import LastWord, Outcome, TracePoint, interval, outcome
 from plume.problem import PAPER, Problem
 from plume.problems.names import sensor_of, with_arguments
 from plume.randomness import derived_seed
 from plume.scenario import Scenario, draw
-from plume.worlds.exposure import Before
 from plume.worlds.world import World
 
 OWN_MOVES: Mapping[str, float] = MappingProxyType({})  # the planner's own moves
@@ -29,12 +29,13 @@ FURTHER = ("margin_m", "priors", "sensor", "stop_on_location", "stop_limits")
 
 
 class Step(NamedTuple):
-    """One reading of a mission and the belief after it."""
+    """One round of a mission, a reading of each vehicle, and the belief after it."""
 
     belief: Belief
     particles: Particles
     posterior: Posterior  # what both were made from
-    update_s: float  # processor time of the estimator for this reading: others on the machine do not count
+    readings: Sequence[Reading]  # of this round: one of each vehicle
+    update_s: float  # processor time of the estimator for this round: others on the machine do not count
     decision_s: float  # processor time of the agent for the move to here; 0 at the start
 
 
@@ -57,15 +58,28 @@ def mission(
     world: str | None = None,
     ends: bool = True,
     problem: Problem = PAPER,
+    fleet: Fleet = ALONE,
     **knowledge: Any,
 ) -> Mission:
     """Prepare the mission of a seed with a policy, by default with the paper's assumption.
 
     `moves`: fields of `Reach`. `ends`: whether the stop ends it. `budget` and `world`: the problem's if None.
-    `knowledge`: other fields of `Config`,
-    like the sensor.
+    `fleet`: the vehicles that fly it together. `knowledge`: other fields of `Config`, like the sensor.
     """
     problem = with_arguments(problem, budget=budget, world=world)
+    there, config = prepared(seed, problem, particles, threshold_m, **knowledge)
+    within = reach(policy, moves, problem)
+    steps = _steps(there, config, policy, derived_seed(seed, "agent"), within, ends, fleet)
+    return Mission(there.truth, config, steps)
+
+
+def prepared(
+    seed: int, problem: Problem, particles: int, threshold_m: float, **knowledge: Any
+) -> tuple[World, Config]:
+    """Return the world of a seed's mission, and what the estimator knows of it.
+
+    `knowledge`: other fields of `Config`, like the sensor.
+    """
     told = draw(seed, problem)
     config = Config(
         particles,
@@ -78,10 +92,7 @@ def mission(
         expected=problem.prior,
         **{"sensor": sensor_of(problem), **knowledge},
     )
-    there = World(told, seed, config.sensor, problem.world, problem)
-    within = reach(policy, moves, problem)
-    steps = _steps(there, config, policy, derived_seed(seed, "agent"), within, ends)
-    return Mission(there.truth, config, steps)
+    return World(told, seed, config.sensor, problem.world, problem), config
 
 
 def check(assume: str, knowledge: Mapping[str, Any]) -> None:
@@ -98,27 +109,27 @@ def check(assume: str, knowledge: Mapping[str, Any]) -> None:
 
 
 def _steps(
-    world: World, config: Config, policy: str, agent_seed: int, within: Reach, ends: bool
+    world: World,
+    config: Config,
+    policy: str,
+    agent_seed: int,
+    within: Reach,
+    ends: bool,
+    fleet: Fleet,
 ) -> Iterator[Step]:
-    budget, altitude_m = world.problem.budget, world.problem.altitude_m
-    posterior, position, decision_s = prior(config), world.start, 0.0
-    time_s, place, before = 0.0, world.start, None
-    for step in range(budget + 1):
-        time_s += float(leg_s(place, position)) + world.sensor.dwell + TRY_AGAIN_S * world.loses(step)
-        while world.warms_up(time_s):
-            time_s += TRY_AGAIN_S
-        place = position
-        gas, wind = world.measure(position, step, time_s, before)
-        before = Before(position, time_s, gas)
-        reading = Reading(step, position, altitude_m, wind, gas)
-        began = time.process_time()
-        posterior = assimilate(posterior, reading, config)
-        summary, cloud = belief(posterior, reading, config)
-        yield Step(summary, cloud, posterior, time.process_time() - began, decision_s)
-        if (ends and summary.ceased) or step == budget:
+    rounds = Rounds(world, config, fleet.starts(world.start, world.seed, config.area))
+    positions, decision_s = rounds.places, 0.0
+    for step in range(world.problem.budget + 1):
+        flown = rounds.fly(positions)
+        said = flown.belief
+        yield Step(said, flown.particles, flown.posterior, flown.readings, flown.update_s, decision_s)
+        if (ends and said.ceased) or step == world.problem.budget:
             return
         began = time.process_time()
-        position = choose(policy, summary, cloud, agent_seed, within)
+        gases = [reading.gas for reading in flown.readings]
+        positions = choose_all(
+            policy, said, flown.particles, agent_seed, within, positions, gases, fleet.separation_m
+        )
         decision_s = time.process_time() - began
 
 
@@ -134,6 +145,9 @@ def rollout(
     world: str | None = None,
     assume: str = "field",
     stop: str | None = None,
+    vehicles: int = 1,
+    formation: str = ALONE.formation,
+    separation_m: float = ALONE.separation_m,
     **knowledge: Any,
 ) -> tuple[Outcome, list[TracePoint]]:
     """Fly one mission in this process, without a network. The same mission over Zenoh gives the same bits.
@@ -154,12 +168,16 @@ def rollout(
         stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
             when at least 99% of the belief is
             within 1 m of the estimate.
+        vehicles: Vehicles that search together, with one belief and one stop.
+        formation: Where they start: from one `point`, along one `edge`, or in different `corners`.
+        separation_m: Least distance between the ways of two vehicles, m.
         knowledge: Further fields of `plumeward.Config`: `sensor`, `priors`, `stop_limits`,
             `stop_on_location` and `margin_m`.
 
     Returns:
         The outcome, and a trace of one point for each reading, the first of them before any move. Lengths
-        are in metres.
+        are in metres. With several vehicles a point says whose reading it is, and shows the belief after
+        the round; steps are rounds, and the distance is that of all.
 
     Raises:
         ValueError: The policy, the problem or the world is not known, or cannot be flown so; or the
@@ -177,13 +195,21 @@ def rollout(
     check(assume, knowledge)
     knowledge |= {"assume": assume, "within": criterion.within}
     flown = mission(
-        seed, policy, particles, criterion.threshold_m, moves=moves, problem=searched, **knowledge
+        seed,
+        policy,
+        particles,
+        criterion.threshold_m,
+        moves=moves,
+        problem=searched,
+        fleet=Fleet(vehicles, formation, separation_m).within(searched),
+        **knowledge,
     )
     trace: list[TracePoint] = []
     search_time_s = 0.0
     for step in flown.steps:
         said = step.belief
-        trace.append(TracePoint(said.position, said.gas, said.mean, said.spread))
+        for taken in step.readings:
+            trace.append(TracePoint(taken.position, taken.gas, said.mean, said.spread, taken.vehicle))
         search_time_s += step.update_s + step.decision_s
     return outcome(
         seed,

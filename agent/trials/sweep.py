@@ -19,6 +19,7 @@ import numpy as np
 
 from agent.policies import bundle_path, reach
 from agent.trials.figures import MissionRow, nees
+from agent.trials.fleet import ALONE, Fleet
 from agent.trials.floor import LEAST_THRESHOLD_M, floors_m
 from agent.trials.progress import with_bar
 from agent.trials.rollout import Mission, mission
@@ -51,6 +52,7 @@ class Sweep:
     knowledge: dict[str, Any] = field(default_factory=dict)  # other fields of `Config`
     worlds: Sequence[str] = (AS_MODELLED,)
     problem: Problem = PAPER  # `worlds` and `stops` stand for its world and stop
+    fleet: Fleet = ALONE  # the vehicles that fly each mission together
 
     @property
     def flights(self) -> Iterator["Flight"]:
@@ -101,6 +103,7 @@ def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
             world,
             ends=False,
             problem=sweep.problem,
+            fleet=sweep.fleet,
             within=first.within,
             **sweep.knowledge,
         )
@@ -118,7 +121,7 @@ def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
     """The information floor of a mission at each ζ, m, where docs/floor.md defines it."""
     config = ready.config
     as_defined = config.sensor == GAUSSIAN and sweep.moves.get("step", sweep.problem.step_m) == STEP_M
-    as_defined &= sweep.problem.area == AREA and not sweep.problem.prior
+    as_defined &= sweep.problem.area == AREA and not sweep.problem.prior and sweep.fleet == ALONE
     if not as_defined or config.effective_priors or config.stop_limits:
         return {}
     thresholds_m = [stop.threshold_m for stop in sweep.stops if not stop.within]
@@ -136,7 +139,7 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
     updates_s: list[float] = []
     decisions_s: list[float] = []
     distance_m = 0.0
-    position = scenario.start
+    positions: dict[int, tuple[float, float]] = {}  # of each vehicle
 
     def row(stop: Criterion, ceased: bool) -> MissionRow:
         told, floor_m = waiting[stop], None if stop.within else floors.get(stop.threshold_m)
@@ -159,8 +162,9 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
         updates_s.append(step.update_s)
         if said.step:
             decisions_s.append(step.decision_s)
-            distance_m += math.dist(position, said.position)
-        position = said.position
+            for reading in step.readings:
+                distance_m += math.dist(positions[reading.vehicle], reading.position)
+        positions |= {reading.vehicle: reading.position for reading in step.readings}
         warned |= {stop for stop, told in waiting.items() if warning(said, told)}
         for stop in [stop for stop, told in waiting.items() if met(step.posterior, said, told)]:
             rows[stop] = row(stop, True)
@@ -232,6 +236,9 @@ def settings(sweep: Sweep, policy: str, config: Config) -> dict[str, Any]:
         "stop_on": ",".join(["location"] * config.stop_on_location + limits),
         "assume": config.assume,
         "margin_m": config.margin,
+        "vehicles": sweep.fleet.vehicles,
+        "start_from": sweep.fleet.formation,
+        "separation_m": sweep.fleet.separation_m if sweep.fleet.vehicles > 1 else None,
     }
 
 
@@ -332,6 +339,7 @@ def journal_of(sweep: Sweep, folder: Path) -> Path:
         sweep.problem,
         sorted(sweep.moves.items()),
         sorted(sweep.knowledge.items()),
+        sweep.fleet,
     )
     digest = hashlib.blake2b(repr(question).encode(), digest_size=8)
     return folder / f"evaluate-{digest.hexdigest()}.jsonl"

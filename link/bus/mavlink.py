@@ -49,6 +49,7 @@ class Reading(NamedTuple):
         altitude_m: Height above home, m.
         wind: (u cos φ, u sin φ) m/s: points to where the wind comes from.
         gas: In the sensor's unit: g/m³, or a count of hits.
+        vehicle: Which vehicle of a fleet took it, from 1.
 
     Example:
         `Reading(0, (2.0, 3.5), 5.0, (1.5, 0.0), 0.42)`: 0.42 g/m³ at (2, 3.5) m, 5 m up, in a wind of 1.5
@@ -60,6 +61,7 @@ class Reading(NamedTuple):
     altitude_m: float
     wind: tuple[float, float]
     gas: float
+    vehicle: int = 1
 
 
 def elapsed_ms(since: int, until: int) -> int:
@@ -222,7 +224,7 @@ def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
         (-wind["wind_y"], -wind["wind_x"]),
         gas["value"],
     )
-    for name, field in zip(("position", "altitude", "wind", "gas"), reading[1:], strict=True):
+    for name, field in zip(("position", "altitude", "wind", "gas"), reading[1:5], strict=True):
         if not all(map(math.isfinite, field if isinstance(field, tuple) else (field,))):
             raise BadFrame(f"{name} is not finite: {field}", "not finite")
     return reading

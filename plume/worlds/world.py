@@ -4,6 +4,7 @@ import math
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -116,6 +117,18 @@ class World:
             x, y = uniform(rng, low[:2], high[:2]).tolist()
             self.truth = msgspec.structs.replace(self.truth, source=(x, y))
         return chosen.air(self.truth, self.seed)
+
+    def of_vehicle(self, vehicle: int) -> "World":
+        """Return this world as another vehicle of a fleet measures it; the first one's is this.
+
+        Its noise is drawn by (seed, vehicle, step). What is wrong in this world is so for all vehicles.
+        """
+        if vehicle == 1:
+            return self
+        other = copy(self)
+        other.seed = derived_seed(self.seed, f"vehicle {vehicle}")
+        other._strengths = []
+        return other
 
     def gas(self, position: tuple[float, float], step: int, time_s: float | None = None) -> float:
         """Take gas reading number `step` (0 at the start) at a position (x, y) m.

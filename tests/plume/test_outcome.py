@@ -109,10 +109,11 @@ def test_the_json_has_the_fields_that_others_rely_on() -> None:
         "rate_gs",
         "rate_interval_gs",
         "units",
+        "distances_m",
         "trace",
     }
     assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}
-    assert set(fields["trace"][0]) == {"position", "reading", "mean", "spread"}
+    assert set(fields["trace"][0]) == {"position", "reading", "mean", "spread", "vehicle"}
 
 
 @pytest.mark.parametrize(

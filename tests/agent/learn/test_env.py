@@ -19,6 +19,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
+import agent.together
 import agent.trials.rollout
 import plumeward  # noqa: F401  registers the environments
 from agent.learn.env import TRAINING_SEEDS, SourceSearch, SourceSearchVector
@@ -268,7 +269,7 @@ def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(
         ].tolist()
         return x, y
 
-    monkeypatch.setattr(agent.trials.rollout, "choose", choose)
+    monkeypatch.setattr(agent.together, "choose", choose)
     for seed in (0, 1_000_002):
         flown = agent.trials.rollout.mission(
             seed, "random", QUICK["particles"], QUICK["threshold_m"], 150, world=world, assume=assume

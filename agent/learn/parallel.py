@@ -1,0 +1,158 @@
+"""The PettingZoo environment of a fleet that searches together (docs/environment.md)."""
+
+import math
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium import Space
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.seeding import np_random
+from pettingzoo import ParallelEnv
+
+from agent.learn.env import REWARDS, TRAINING_SEEDS, Settings
+from agent.observation import SCHEMAS, Frame, Observation
+from agent.planning.apart import Shared
+from agent.planning.moves import Reach
+from agent.together import Place, in_turn, seen_by
+from agent.trials.fleet import Fleet
+from agent.trials.rollout import prepared
+from agent.trials.rounds import Round, Rounds
+from plume.outcome import verdict
+
+OF_FLEET = ("vehicles", "formation", "separation_m")
+
+
+class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
+    """Vehicles that search together for a gas source; one mission is one episode.
+
+    The agents are `uav_1`, `uav_2`, … Each has the observations, actions and rewards of `SourceSearch`, where
+    it is. They share one belief, which takes all readings, and one stop, so all end together; each is
+    rewarded for it. All move at once: a way that comes nearer than `separation_m` to one of an agent before
+    is turned aside, or the vehicle stays where it is.
+
+    Arguments: `vehicles` (2), `formation` ("point") and `separation_m` (3), as `plumeward.rollout` takes
+    them; the others are those of `SourceSearch`. Options of a reset have no effect. Nothing is drawn.
+
+    Example:
+        ```python
+        env = plumeward.SourceSearchParallel(vehicles=3)
+        observations, infos = env.reset(seed=1)
+        actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        observations, rewards, terminations, truncations, infos = env.step(actions)
+        ```
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"name": "plumeward/SourceSearchParallel-v0", "render_modes": []}
+
+    def __init__(
+        self, vehicles: int = 2, formation: str = "point", separation_m: float = 3.0, **settings: Any
+    ) -> None:
+        """Raises ValueError, or TypeError on an unknown argument; the message says what is allowed."""
+        self.settings = Settings.of(settings, *OF_FLEET)
+        self.fleet = Fleet(vehicles, formation, separation_m).within(self.settings.searched)
+        self.render_mode = None
+        self.possible_agents = [f"uav_{number}" for number in range(1, vehicles + 1)]
+        self.agents: list[str] = []
+        self.observation_spaces = {agent: self.settings.spaces()[0] for agent in self.possible_agents}
+        self.action_spaces = {agent: self.settings.spaces()[1] for agent in self.possible_agents}
+        self._rng, _ = np_random()
+        self._rounds: Rounds | None = None
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """Return the observation space of an agent, always the same object."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """Return the action space of an agent, always the same object."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Begin the mission of a seed, by default one of those of training; takes its first readings."""
+        if seed is not None:
+            self._rng, _ = np_random(seed)
+        self._seed = int(self._rng.integers(TRAINING_SEEDS)) if seed is None else int(seed)
+        criterion = self.settings.criterion
+        world, config = prepared(
+            self._seed,
+            self.settings.searched,
+            self.settings.particles,
+            criterion.threshold_m,
+            assume=self.settings.assume,
+            within=criterion.within,
+        )
+        self._truth = world.truth
+        self._rounds = Rounds(world, config, self.fleet.starts(world.start, self._seed, config.area))
+        self.agents = list(self.possible_agents)
+        self._distances_m = [0.0] * len(self.agents)
+        self._look(self._rounds.fly(self._rounds.places))
+        return self._observations, self._told()
+
+    def step(
+        self, actions: dict[str, Any]
+    ) -> tuple[
+        dict[str, Observation],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Fly each vehicle to the waypoint of its action and take the readings there.
+
+        Raises ActionError on an action outside its space, or KeyError if one is missing; then nobody moves.
+        """
+        if self._rounds is None or not self.agents:
+            raise ResetNeeded("call reset before step")
+        checked = [self.settings.actions(actions[agent])[None] for agent in self.agents]
+        places, area = self._rounds.places, self.settings.searched.area
+
+        def waypoint(vehicle: int, _reach: Shared) -> Place:
+            here, frame = np.array([places[vehicle]]), self._frames[vehicle][None]
+            x, y = self.settings.move.waypoints(here, frame, checked[vehicle], area)[0].tolist()
+            return x, y
+
+        chosen = in_turn(Reach(area=area), places, self.fleet.separation_m, waypoint)
+        for vehicle, (start, end) in enumerate(zip(places, chosen, strict=True)):
+            self._distances_m[vehicle] += math.dist(start, end)
+        self._look(self._rounds.fly(chosen))
+        step, stop = REWARDS[self.settings.reward]
+        ceased = self._round.belief.ceased
+        spent = not ceased and self._rounds.number > self.settings.searched.budget
+        observations, told = self._observations, self._told()
+        rewards = dict.fromkeys(self.agents, step + stop if ceased else step)
+        ends, cuts = dict.fromkeys(self.agents, ceased), dict.fromkeys(self.agents, spent)
+        if ceased or spent:
+            self.agents = []
+        return observations, rewards, ends, cuts, told
+
+    def _look(self, flown: Round) -> None:
+        """Take a round as the newest; fills the observations and the frames in which actions are meant."""
+        self._round = flown
+        self._observations: dict[str, Observation] = {}
+        self._frames: list[Frame] = []
+        schema = SCHEMAS[self.settings.observation]
+        for agent, reading in zip(self.agents, flown.readings, strict=True):
+            seen = seen_by(flown.belief, reading.position, reading.gas)
+            self._observations[agent], frame = schema.see(seen, flown.particles, self.settings.searched)
+            self._frames.append(frame)
+
+    def _told(self) -> dict[str, dict[str, Any]]:
+        """Return the infos; policies do not see them. They are those of `SourceSearch`."""
+        said, source = self._round.belief, self._truth.nearest(self._round.belief.mean)
+        located = (
+            verdict(said.ceased, said.mean, source, said.outside, self.settings.searched.area) == "located"
+        )
+        return {
+            agent: {
+                "seed": self._seed,
+                "position": np.array(reading.position),
+                "estimate": np.array(said.mean),
+                "spread_m": said.spread,
+                "distance_m": distance_m,
+                "located": located,
+            }
+            for agent, reading, distance_m in zip(
+                self.agents, self._round.readings, self._distances_m, strict=True
+            )
+        }

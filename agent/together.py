@@ -1,0 +1,66 @@
+"""A fleet's next places: each vehicle chooses, given where those before it go and what they may read."""
+
+from collections.abc import Callable, Sequence
+
+import msgspec
+import numpy as np
+
+from agent.planning.apart import Shared
+from agent.planning.moves import Reach
+from agent.policies import choose
+from link.bus.messages import Belief, Particles
+from plume.randomness import derived_seed
+
+Place = tuple[float, float]  # (x, y) m
+
+
+def choose_all(
+    name: str,
+    belief: Belief,
+    particles: Particles,
+    seed: int,
+    within: Reach,
+    places: Sequence[Place],
+    gases: Sequence[float],
+    separation_m: float,
+) -> list[Place]:
+    """Return the next place of each vehicle, in their order, float32 pairs; alone, as `choose` does.
+
+    belief: after the last round's readings, which were taken at `places` and said `gases`. The draws of a
+    policy are keyed by (seed, vehicle, step).
+    """
+    if len(places) == 1:
+        return [choose(name, belief, particles, seed, within)]
+
+    def decide(vehicle: int, reach: Shared) -> Place:
+        seen = seen_by(belief, places[vehicle], gases[vehicle])
+        return choose(name, seen, particles, seed_of(seed, vehicle + 1), reach)
+
+    return in_turn(within, places, separation_m, decide)
+
+
+def in_turn(
+    within: Reach, places: Sequence[Place], separation_m: float, decide: Callable[[int, Shared], Place]
+) -> list[Place]:
+    """Let each vehicle decide on its next place, one after the other; returns where they may go.
+
+    decide: of a vehicle, from 0, and its moves. A way that is too near to another's is turned aside, or the
+    vehicle stays where it is.
+    """
+    here = np.array(places, np.float64)
+    chosen: list[Place] = []
+    for vehicle, place in enumerate(places):
+        ways = np.stack([here[:vehicle], np.array(chosen, np.float64).reshape(-1, 2)], axis=1)
+        reach = Shared.of(within, ways, here[vehicle + 1 :], separation_m)
+        chosen.append(reach.freed(place, decide(vehicle, reach)))
+    return chosen
+
+
+def seen_by(belief: Belief, place: Place, gas: float) -> Belief:
+    """Return a round's belief as the vehicle sees it that read this there."""
+    return msgspec.structs.replace(belief, position=place, gas=gas)
+
+
+def seed_of(seed: int, vehicle: int) -> int:
+    """Return the seed of a vehicle's own draws: the first one's is that of a vehicle alone."""
+    return seed if vehicle == 1 else derived_seed(seed, f"vehicle {vehicle}")

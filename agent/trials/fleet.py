@@ -1,0 +1,141 @@
+"""A fleet that searches together, as trials fly it: how many vehicles, where they start, how far apart."""
+
+import argparse
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from agent.planning.apart import SEPARATION_M
+from agent.together import Place, seed_of
+from link import cli
+from plume.elementary import Array
+from plume.problem import AREA, Area, Problem
+from plume.randomness import keyed, uniform
+
+MOST_VEHICLES = 8
+FORMATIONS = {
+    "point": "beside each other where one vehicle starts",
+    "edge": "spread evenly along the southern edge",
+    "corners": "in different corners, then at the middles of the edges",
+}
+START_SIDE = 1 / 6  # of the rectangle in which a start is drawn, as a part of the area's sides: Table 1
+PADS = 1.1  # distance of pads beside each other, in separations
+# Where vehicles start from different corners, as shares of the way across; the first is Table 1's.
+CORNERS = ((0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.0), (0.5, 1.0), (0.0, 0.5), (1.0, 0.5))
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """Vehicles that search together. Raises ValueError on what is not allowed."""
+
+    vehicles: int = 1
+    formation: str = "point"  # of FORMATIONS
+    separation_m: float = SEPARATION_M  # least distance between the ways of two vehicles, m
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.vehicles <= MOST_VEHICLES:
+            raise ValueError(f"--vehicles: {self.vehicles} is not allowed; wanted 1 to {MOST_VEHICLES}")
+        if self.formation not in FORMATIONS:
+            raise ValueError(f"--from: {self.formation!r} is not allowed; wanted {', '.join(FORMATIONS)}")
+        if not self.separation_m >= 0:
+            raise ValueError(f"--separation: {self.separation_m:g} is not allowed; wanted 0 m at least")
+
+    def within(self, problem: Problem) -> "Fleet":
+        """Return it. Raises ValueError if a problem does not let it start so."""
+        if problem.start is not None and self.formation != "point":
+            raise ValueError(
+                f"--from: {self.formation!r} is not allowed; the problem has a start: wanted point"
+            )
+        room_m = self._room_m(problem)
+        if self.separation_m > room_m:
+            raise ValueError(
+                f"--separation: {self.separation_m:g} is not allowed; {self.vehicles} vehicles from "
+                f"{self.formation} have room for 0 to {math.floor(100 * room_m) / 100:g} m"
+            )
+        return self
+
+    def _room_m(self, problem: Problem) -> float:
+        """Return the greatest separation for which there always is a place for each vehicle to start, m."""
+        width_m, shorter_m = problem.area.size_m[0], min(problem.area.size_m)
+        side_m = START_SIDE * shorter_m
+        if self.vehicles == 1:
+            return math.inf
+        if self.formation == "edge":
+            return width_m / self.vehicles
+        if self.formation == "corners":
+            return shorter_m - 2 * side_m if self.vehicles <= 4 else (shorter_m - side_m) / 2 - side_m
+        beside = math.ceil(math.sqrt(self.vehicles))  # of a square grid, on each side
+        if problem.start is not None:
+            return shorter_m / (PADS * beside)
+        return (shorter_m - side_m) / (PADS * (beside - 1))  # they start near a corner
+
+    def starts(self, start: Place, seed: int, area: Area = AREA) -> list[Place]:
+        """Return where each vehicle starts, float32 pairs.
+
+        start: where a vehicle alone would. One alone starts there from a point and from corners.
+        """
+        places = np.array(_drawn(self, start, seed, area), np.float32).astype(np.float64)
+        return [(x, y) for x, y in places.tolist()]
+
+
+ALONE = Fleet()
+
+
+def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of vehicles that search together."""
+    parser.add_argument(
+        "--vehicles",
+        type=cli.whole(1, MOST_VEHICLES),
+        default=ALONE.vehicles,
+        metavar="N",
+        help=f"vehicles that search together with one belief, 1 to {MOST_VEHICLES} (default: %(default)s)",
+    )
+    starts = "; ".join(f"{name}: {text}" for name, text in FORMATIONS.items())
+    parser.add_argument(
+        "--from",
+        dest="formation",
+        choices=tuple(FORMATIONS),
+        default=ALONE.formation,
+        help=f"where they start ({starts}; default: %(default)s)",
+    )
+    parser.add_argument(
+        "--separation",
+        type=cli.number(0, 100),
+        default=ALONE.separation_m,
+        metavar="M",
+        help="least distance between the ways of two vehicles, m (default: %(default)g)",
+    )
+
+
+def fleet_given(args: argparse.Namespace) -> Fleet:
+    """Return what the flags of `add_fleet_arguments` say, within the problem. Raises ValueError."""
+    return Fleet(args.vehicles, args.formation, args.separation).within(args.problem)
+
+
+def _drawn(fleet: Fleet, start: Place, seed: int, area: Area) -> list[Place]:
+    if fleet.formation == "point":
+        return _beside(start, PADS * fleet.separation_m, fleet.vehicles, area)
+    low, size_m = np.array(area.low), np.array(area.size_m)
+    drawn = [(np.array(start) - low) / size_m]  # shares of the way across
+    for vehicle in range(2, fleet.vehicles + 1):
+        drawn.append(uniform(keyed(seed_of(seed, vehicle), "start"), np.zeros(2), START_SIDE))
+    if fleet.formation == "edge":
+        shares = [np.array([(k + 0.5) / fleet.vehicles, share[1]]) for k, share in enumerate(drawn)]
+    else:
+        shares = [_in_corner(share, np.array(corner)) for share, corner in zip(drawn, CORNERS, strict=False)]
+    return [(x, y) for x, y in (low + np.array(shares) * size_m).tolist()]
+
+
+def _beside(start: Place, pad_m: float, count: int, area: Area) -> list[Place]:
+    """Return `count` places of the square grid through a start that are nearest to it, inside the area."""
+    reach = range(-count, count + 1)
+    nearest = sorted(product(reach, reach), key=lambda pads: pads[0] * pads[0] + pads[1] * pads[1])
+    grid = [(start[0] + pad_m * i, start[1] + pad_m * j) for i, j in nearest]
+    return [place for place in grid if area.holds(place)][:count]
+
+
+def _in_corner(share: Array, corner: Array) -> Array:
+    """Move a place of the south-western corner into another; on the far side it is mirrored."""
+    return np.where(corner == 1.0, 1.0 - share, corner * (1.0 - START_SIDE) + share)

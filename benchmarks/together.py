@@ -1,0 +1,215 @@
+"""A fleet that searches together, against its number of vehicles, and against searchers that share nothing.
+
+    python -m benchmarks.together                              # the table of docs/fleet.md, from results/
+    python -m benchmarks.together --fly --missions 100         # flies what the rows lack, and adds them
+
+A fleet is compared with one vehicle from the same formation on the same seeds: the share of its moves, with a
+bootstrap interval over the pairs. `alone` flies each vehicle of a formation with a belief of its own, as if
+the others were not there; the first to stop ends the search of all, and all have flown as many moves.
+"""
+
+import argparse
+import csv
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from agent.policies import DEFAULT, choose, reach
+from agent.together import seed_of
+from agent.trials.evaluate import FIRST_TEST_SEED
+from agent.trials.figures import bootstrap, wilson
+from agent.trials.fleet import FORMATIONS, Fleet
+from agent.trials.rollout import rollout
+from agent.trials.workers import as_flown
+from estimator.belief import belief
+from estimator.filter import Config, assimilate, prior
+from link import cli
+from link.bus.mavlink import Reading
+from link.terminal import tell
+from plume.outcome import verdict
+from plume.problem import ALTITUDE_M
+from plume.randomness import derived_seed
+from plume.scenario import BUDGET_STEPS, draw
+from plume.worlds.world import World
+
+ROWS = Path("results/together.csv")
+MOST = 4
+
+
+class Cell(NamedTuple):
+    """What is flown over all seeds."""
+
+    policy: str
+    formation: str
+    vehicles: int
+    how: str  # together, or alone: then `vehicles` says which vehicle of the formation
+
+
+class Flown(msgspec.Struct, frozen=True):
+    """A row: one search of a cell."""
+
+    policy: str
+    formation: str
+    vehicles: int
+    how: str
+    seed: int
+    ceased: bool
+    false_stop: bool
+    moves: int  # of each vehicle
+    distance_m: float  # of all
+
+    @property
+    def cell(self) -> Cell:
+        """The cell that it belongs to."""
+        return Cell(self.policy, self.formation, self.vehicles, self.how)
+
+
+def fly(seed: int, cells: Sequence[Cell]) -> list[Flown]:
+    """Fly one seed in each of these cells."""
+    return [(_together if cell.how == "together" else _alone)(seed, cell) for cell in cells]
+
+
+def _together(seed: int, cell: Cell) -> Flown:
+    result, _ = rollout(seed, cell.policy, vehicles=cell.vehicles, formation=cell.formation)
+    false_stop = result.ceased and not result.located and not result.outside
+    return Flown(*cell, seed, result.ceased, false_stop, result.steps, result.distance_m)
+
+
+def _alone(seed: int, cell: Cell) -> Flown:
+    """Fly vehicle number `cell.vehicles` of a formation with a belief of its own."""
+    scenario, within, vehicle = draw(seed), reach(cell.policy), cell.vehicles
+    first = World(scenario, seed)
+    world, place = first.of_vehicle(vehicle), Fleet(vehicle, cell.formation).starts(first.start, seed)[-1]
+    of_estimator, of_agent = (seed_of(derived_seed(seed, who), vehicle) for who in ("estimator", "agent"))
+    config = Config(
+        seed=of_estimator, rate=scenario.q, diffusivity=scenario.d, lifetime=scenario.tau, assume="field"
+    )
+    posterior = prior(config)
+    for step in range(BUDGET_STEPS + 1):
+        reading = Reading(step, place, ALTITUDE_M, world.wind, world.gas(place, step))
+        posterior = assimilate(posterior, reading, config)
+        said, particles = belief(posterior, reading, config)
+        if said.ceased or step == BUDGET_STEPS:
+            break
+        place = choose(cell.policy, said, particles, of_agent, within)
+    ended = verdict(said.ceased, said.mean, scenario.source, said.outside)
+    return Flown(*cell, seed, said.ceased, ended == "FALSE STOP", step, float(step))
+
+
+def first_of(own: Sequence[dict[int, Flown]]) -> dict[int, Flown]:
+    """Return the searches of vehicles that share nothing, by seed: the first of them to stop ends each."""
+    result: dict[int, Flown] = {}
+    for seed in set.intersection(*map(set, own)):
+        first = min((of_one[seed] for of_one in own), key=lambda row: (not row.ceased, row.moves))
+        result[seed] = msgspec.structs.replace(first, distance_m=float(len(own) * first.moves))
+    return result
+
+
+def cells_of(policies: Sequence[str], most: int) -> list[Cell]:
+    """Return all cells. Vehicle 1 alone is a fleet of one; on an edge starts depend on how many there are."""
+    return [
+        Cell(policy, formation, vehicles, how)
+        for policy in policies
+        for formation in FORMATIONS
+        for vehicles in range(1, most + 1)
+        for how in ("together", "alone")[: 1 + (vehicles > 1 and formation != "edge")]
+    ]
+
+
+def read(path: Path) -> list[Flown]:
+    """Read the rows that there are."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return [msgspec.convert(row, Flown, strict=False) for row in csv.DictReader(file)]
+
+
+def append(rows: Iterable[Flown], path: Path) -> None:
+    """Add rows as they are flown, so that an interrupt loses none."""
+    new = not path.exists()
+    with path.open("a", newline="") as file:
+        writer = csv.writer(file)
+        if new:
+            writer.writerow(Flown.__struct_fields__)
+        for row in rows:
+            writer.writerow(msgspec.structs.astuple(row))
+            file.flush()
+
+
+def table(rows: Sequence[Flown]) -> str:
+    """Return the table of docs/fleet.md, in Markdown."""
+    of_cell: dict[Cell, dict[int, Flown]] = defaultdict(dict)
+    for row in rows:
+        of_cell[row.cell][row.seed] = row
+    lines = [
+        "| policy | from | vehicles | missions | moves together | share of one | metres in all "
+        "| moves alone | share of one | false stops together | alone |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+
+    def order(cell: Cell) -> tuple[str, int, int]:
+        return cell.policy, [*FORMATIONS].index(cell.formation), cell.vehicles
+
+    for cell in sorted((cell for cell in of_cell if cell.how == "together"), key=order):
+        own, one = of_cell[cell], of_cell.get(cell._replace(vehicles=1), {})
+        alone = [of_cell.get(cell._replace(vehicles=k, how="alone"), {}) for k in range(2, cell.vehicles + 1)]
+        apart = first_of([one, *alone]) if alone else {}
+        metres = bootstrap(np.array([row.distance_m for row in own.values()])).text(1, 0)
+        cells = [
+            *(cell.policy, cell.formation, str(cell.vehicles), str(len(own))),
+            *(_moves(own), _share(own, one), metres, _moves(apart), _share(apart, one)),
+            *(_false(own), _false(apart)),
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _moves(own: dict[int, Flown]) -> str:
+    return bootstrap(np.array([row.moves for row in own.values()])).text(1, 1) if own else ""
+
+
+def _share(own: dict[int, Flown], one: dict[int, Flown]) -> str:
+    both = np.array([(own[seed].moves, one[seed].moves) for seed in own if seed in one], np.float64)
+    if not len(both):
+        return ""
+    share = bootstrap(both, lambda drawn: drawn[..., 0].mean(axis=1) / drawn[..., 1].mean(axis=1))
+    return share.text(1, 2)
+
+
+def _false(own: dict[int, Flown]) -> str:
+    false = sum(row.false_stop for row in own.values())
+    return f"{false}, at most {100 * wilson(false, len(own)).high:.1f}%" if own else ""
+
+
+def main() -> None:
+    """Fly what is asked for, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--fly", action="store_true", help="fly what the rows lack")
+    parser.add_argument("--missions", type=cli.whole(1, 100_000), default=100, help="seeds from 1,000,000 on")
+    parser.add_argument("--policy", type=cli.listed(str), default=[DEFAULT], help="policies between commas")
+    parser.add_argument("--vehicles", type=cli.whole(1, 8), default=MOST, help="largest fleet")
+    parser.add_argument("--workers", type=cli.whole(1, 64), default=1)
+    parser.add_argument("--rows", type=Path, default=ROWS)
+    args: Any = parser.parse_args()
+    if args.fly:
+        done = {(row.cell, row.seed) for row in read(args.rows)}
+        cells = cells_of(args.policy, args.vehicles)
+        tasks = [
+            (seed, [cell for cell in cells if (cell, seed) not in done])
+            for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.missions)
+        ]
+        for _, rows in as_flown(_fly_task, tasks, args.workers):
+            append(rows, args.rows)
+    tell(table(read(args.rows)))
+
+
+def _fly_task(task: tuple[int, Sequence[Cell]]) -> list[Flown]:
+    return fly(*task)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""Protects the distance between vehicles of one fleet: ways that are free, and what is left where none are."""
+
+import math
+
+import numpy as np
+import pytest
+
+from agent.planning.apart import Shared, gaps
+from agent.planning.moves import Reach
+
+
+def sampled_gap(way: np.ndarray, other: np.ndarray) -> float:
+    """The least distance between 400 places on each of two ways."""
+    share = np.linspace(0, 1, 400)[:, None]
+    one, two = (start + share * (end - start) for start, end in (way, other))
+    return float(np.sqrt(np.square(one[:, None] - two).sum(axis=2)).min())
+
+
+def test_the_gap_of_two_ways_is_the_least_distance_between_their_places() -> None:
+    rng = np.random.default_rng(3)
+    ways, others = rng.random((60, 2, 2)) * 10, rng.random((60, 2, 2)) * 10
+    ways[:5, 1], others[5:10, 1] = ways[:5, 0], others[5:10, 0]  # some stay where they are
+    expected = [sampled_gap(way, other) for way, other in zip(ways, others, strict=True)]
+    assert gaps(ways, others) == pytest.approx(expected, abs=0.05)
+    assert (gaps(ways, others) == 0).any()  # some cross
+    assert (gaps(ways, others) == gaps(others, ways)).all()
+
+
+def test_two_that_stay_are_as_far_apart_as_their_places() -> None:
+    assert gaps(np.array([[1.0, 1.0]] * 2), np.array([[4.0, 5.0]] * 2)) == 5.0
+
+
+def shared(chosen: list, waiting: list, separation_m: float = 3.0) -> Shared:
+    return Shared.of(
+        Reach(headings=8), np.array(chosen).reshape(-1, 2, 2), np.array(waiting).reshape(-1, 2), separation_m
+    )
+
+
+def test_alone_all_moves_are_free() -> None:
+    assert (shared([], []).moves((5.0, 5.0)) == Reach(headings=8).moves((5.0, 5.0))).all()
+
+
+def test_moves_keep_away_from_ways_that_are_chosen_and_from_who_has_yet_to_choose() -> None:
+    for reach in (shared([[[8.5, 5.0], [8.5, 6.0]]], []), shared([], [[8.5, 5.0]])):
+        free = reach.moves((5.0, 5.0)).tolist()
+        assert [6.0, 5.0] not in free  # 2.5 m away
+        assert [4.0, 5.0] in free
+        assert [5.0, 6.0] in free
+
+
+def test_a_vehicle_without_a_free_way_may_stay() -> None:
+    reach = shared(
+        [], [[5.0 + 3 * east, 5.0 + 3 * north] for east, north in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+    )
+    assert reach.moves((5.0, 5.0)).tolist() == [[5.0, 5.0]]
+    assert reach.freed((5.0, 5.0), (5.5, 5.0)) == (5.0, 5.0)
+
+
+def test_a_way_that_is_not_free_is_turned_aside_and_a_free_one_is_left_alone() -> None:
+    reach = shared([[[8.5, 5.0], [8.5, 5.0]]], [])
+    aside = reach.freed((5.0, 5.0), (6.0, 5.0))
+    assert math.dist(aside, (5.0, 5.0)) == pytest.approx(1.0)
+    assert reach.are_free((5.0, 5.0), np.array([aside])).all()
+    assert reach.freed((5.0, 5.0), (4.1, 5.0)) == (4.1, 5.0)
+
+
+def test_those_who_have_chosen_are_foreseen_on_their_way_and_inside_the_area() -> None:
+    reach = shared([[[8.0, 5.0], [9.0, 5.0]], [[29.5, 5.0], [30.0, 5.0]]], [[1.0, 1.0]])
+    assert reach.foreseen(2.0).tolist() == [[10.0, 5.0], [30.0, 5.0]]
+    assert reach.others.tolist() == [[9.0, 5.0], [30.0, 5.0], [1.0, 1.0]]
+    assert Reach().foreseen().shape == (0, 2)

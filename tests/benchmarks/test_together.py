@@ -1,0 +1,43 @@
+"""Protects the table of docs/fleet.md: it is that of the rows, and its shares and first stops are right."""
+
+from pathlib import Path
+
+from benchmarks.together import ROWS, Cell, Flown, cells_of, first_of, read, table
+
+ROOT = Path(__file__).parents[2]
+
+
+def row(
+    vehicles: int, how: str, seed: int, moves: int, ceased: bool = True, false_stop: bool = False
+) -> Flown:
+    return Flown("homing", "corners", vehicles, how, seed, ceased, false_stop, moves, float(moves * vehicles))
+
+
+def test_the_page_shows_the_table_of_the_rows() -> None:
+    assert table(read(ROOT / ROWS)) in (ROOT / "docs" / "fleet.md").read_text()
+
+
+def test_the_first_to_stop_ends_the_search_of_vehicles_that_share_nothing() -> None:
+    one = {
+        1: row(1, "together", 1, 40),
+        2: row(1, "together", 2, 10, ceased=False),
+        3: row(1, "together", 3, 9),
+    }
+    two = {1: row(2, "alone", 1, 30, false_stop=True), 2: row(2, "alone", 2, 50)}
+    first = first_of([one, two])
+    assert {seed: (said.moves, said.distance_m, said.false_stop) for seed, said in first.items()} == {
+        1: (30, 60.0, True),
+        2: (50, 100.0, False),
+    }
+
+
+def test_a_share_is_of_the_same_seeds() -> None:
+    rows = [row(1, "together", 1, 40), row(1, "together", 2, 20), row(2, "together", 1, 20)]
+    assert "| 0.50 [0.50, 0.50] |" in table(rows)
+
+
+def test_who_is_alone_is_flown_once_for_all_fleets_and_from_an_edge_not_at_all() -> None:
+    cells = cells_of(["homing"], 3)
+    assert len(cells) == len(set(cells)) == 13
+    assert Cell("homing", "corners", 3, "alone") in cells
+    assert not [cell for cell in cells if cell.how == "alone" and "edge" in cell]
