@@ -1,5 +1,6 @@
-"""Stands in for a gas sensor in clean air: a number a line, five a second, on the serial line ./gas-sensor."""
+"""Stands in for a gas sensor in clean air: a number a line, five a second, on a serial line, ./gas-sensor."""
 
+import contextlib
 import os
 import random
 import time
@@ -17,10 +18,8 @@ os.set_blocking(ours, False)
 print(f"a sensor in clean air at {LINE}", flush=True)
 try:
     while True:
-        try:
+        with contextlib.suppress(BlockingIOError):  # nobody reads
             os.write(ours, f"{random.gauss(0.0, NOISE):.3f}\n".encode())
-        except BlockingIOError:  # nobody reads
-            pass
         time.sleep(0.2)
 except KeyboardInterrupt:
     LINE.unlink()
