@@ -65,6 +65,8 @@ export class Pane {
     this.root.setAttribute("aria-label", `Vehicle ${this.name}`);
     this.find(".operator").setAttribute("aria-label", `Operator of ${this.name}`);
     this.gone = gone;
+    this.find(".findings").hidden = !vehicle?.findings;
+    if (vehicle?.findings) this.find(".findings").href = vehicle.findings;
   }
 
   /** Allow commands, or say why not; `lost`: what the sentence says instead while the page has no connection. */
