@@ -1,9 +1,9 @@
 """Compiled kernels: numba's `njit`, with its cache in a folder named after all that a kernel is made of.
 
 Numba knows a kernel by its own file alone: if a function or a constant of another file changes, it still
-runs the old machine code. Here a kernel may use what stands in its own folder, in plume/ and plume/sensors/. A digest of
-these sources and tables and of the libraries' versions names the folder, so a change of any leads to an
-empty one. Within a folder numba tells processors apart.
+runs the old machine code. Here a kernel may use what stands in its own folder, in plume/ and in
+plume/sensors/. A digest of these sources and tables and of the libraries' versions names the folder, so a
+change of any leads to an empty one. Within a folder numba tells processors apart.
 
 Numba numbers functions by the order in which a process compiles them, and calls a function of a library by
 its name and number: a sort that one process has compiled would run for an argsort of another. So each kernel
