@@ -26,7 +26,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLoca
 from numpy.typing import NDArray
 
 from plume.problem import Area
-from scene.scene import Release, Scatter, Scene, Turn, ellipse, turns
+from scene.scene import Release, Scatter, Scene, WindShift, ellipse, turns
 
 # Settings of matplotlib while a picture is made and saved.
 STYLE: Any = {
@@ -178,7 +178,7 @@ class _Cloud:
 class _TurnedWind:
     """One turn of the wind: two arrows at its place, before and after, and a line in the charts."""
 
-    def __init__(self, drawing: "Drawing", turn: Turn, length_m: float) -> None:
+    def __init__(self, drawing: "Drawing", turn: WindShift, length_m: float) -> None:
         self.step = turn.step
         x, y = turn.place
         self.artists: list[Artist] = []

@@ -252,7 +252,7 @@ def judged(
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class WindShift:
     """The wind turned, as measured: from this reading on it is another."""
 
     step: int
@@ -268,18 +268,18 @@ class Turn:
         return abs(math.degrees(math.atan2(across, along)))
 
 
-def turns(measurements: Sequence[Measurement]) -> list[Turn]:
+def turns(measurements: Sequence[Measurement]) -> list[WindShift]:
     """Return where the wind turned: its means of a few readings before and after differ by TURN_DEG or more.
 
     A turn that did not last for TURN_READINGS readings is none.
     """
     known = [it for it in measurements if it.measured_wind]
     winds = np.array([it.measured_wind for it in known], np.float64).reshape(-1, 2)
-    found: list[Turn] = []
+    found: list[WindShift] = []
     last = -1  # the newest reading that counted towards a turn
     for i in range(TURN_READINGS, len(known) - TURN_READINGS + 1):
         before, after = winds[i - TURN_READINGS : i].mean(axis=0), winds[i : i + TURN_READINGS].mean(axis=0)
-        turn = Turn(known[i].step, known[i].position, _point(before), _point(after))
+        turn = WindShift(known[i].step, known[i].position, _point(before), _point(after))
         is_weak = min(np.hypot(*before), np.hypot(*after)) < LEAST_WIND_MPS
         is_before = np.hypot(*(winds[i] - before)) < np.hypot(*(winds[i] - after))
         if turn.degrees < TURN_DEG or is_weak or is_before:

@@ -144,7 +144,7 @@ def test_each_page_has_a_title_of_its_own_that_says_the_site_once(site: Path) ->
         if page.name != "404.html"
     ]
     assert [title for title in titles if title.count("Plumeward") != 1] == []
-    assert len({*titles}) >= len(titles) - 3  # a guide and the reference may be on the same thing
+    assert len({*titles}) == len(titles)
 
 
 @pytest.mark.full
