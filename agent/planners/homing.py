@@ -26,7 +26,7 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     are expected first, as if they flew on: p is worth what it tells beyond them.
     """
     moves = reach.moves(belief.position)
-    places = reach.area.clipped(belief.position + AHEAD * (moves - belief.position))
+    places = reach.ahead(belief.position, moves, AHEAD)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
     before = reach.foreseen(AHEAD)
     imagined = imagine(belief, hypotheses, places, reach.measurements, rng, before=before)

@@ -20,8 +20,7 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     p is the best place on the path. The spread is `entropy_spread` after readings at all places up to p.
     """
     moves = reach.moves(belief.position)
-    ahead = np.array(AHEAD)[:, None]
-    paths = reach.area.clipped(belief.position + ahead * (moves - belief.position)[:, None])  # (A, L, 2)
+    paths = reach.ahead(belief.position, moves, np.array(AHEAD))  # (A, L, 2)
     flown = lengths(paths - belief.position)  # (A, L)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
     distances = hypotheses.mean(hypotheses.distances(paths))  # (A, L)
