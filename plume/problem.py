@@ -414,7 +414,7 @@ def _check_ways(ground: Fenced, starts: Area | Place, expected: Area, sources: A
     """Raise ValueError if a polygon is none, or polygons leave no start, no source or no way between them."""
     polygons = {f"keep_out[{number}]": polygon for number, polygon in enumerate(ground.keep_out)}
     _check_polygons(polygons | ({"keep_in": ground.keep_in} if ground.keep_in else {}))
-    obstacles, begins = ground.obstacles, _grid(starts, 8)
+    obstacles, begins = ground.obstacles, _grid(starts, 6)
     begins = begins[obstacles.are_clear(begins)]
     if not len(begins):
         raise ValueError(
@@ -427,7 +427,7 @@ def _check_ways(ground: Fenced, starts: Area | Place, expected: Area, sources: A
                 f"{name}: {_said(place)} is inside keep_out, where no source is; wanted a place or a "
                 "rectangle outside, at least in part, or source_inside: true"
             )
-    goals = _grid(expected, 24)
+    goals = _grid(expected, 12)
     goals = goals[obstacles.are_clear(goals)]
     if len(goals) and not obstacles.join(begins, goals).all():
         raise ValueError(

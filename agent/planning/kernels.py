@@ -194,3 +194,53 @@ def displacements(frames: Array, turns: Array, lengths: Array) -> Array:
         along, across = lengths[b] * ahead, mirror * lengths[b] * aside
         result[b, 0], result[b, 1] = cosine * along - sine * across, sine * along + cosine * across
     return result
+
+
+@subroutine
+def _is_seen(x: float, y: float, goal_x: float, goal_y: float, sides: Array) -> bool:
+    """True if the straight way from a place to a goal crosses no side."""
+    east, north = goal_x - x, goal_y - y
+    for side in range(len(sides)):
+        x_1, y_1, x_2, y_2 = sides[side]
+        one = east * (y_1 - y) - north * (x_1 - x)
+        other = east * (y_2 - y) - north * (x_2 - x)
+        if (one < 0.0) != (other < 0.0):
+            from_place = (x_2 - x_1) * (y - y_1) - (y_2 - y_1) * (x - x_1)
+            from_goal = (x_2 - x_1) * (goal_y - y_1) - (y_2 - y_1) * (goal_x - x_1)
+            if (from_place < 0.0) != (from_goal < 0.0):
+                return False
+    return True
+
+
+@kernel(
+    "float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1])",
+    nogil=True,
+)
+def shortest_ways(places: Array, goals: Array, sides: Array, corners: Array, to_corners: Array) -> Array:
+    """Lengths (A, N) m of the shortest ways from places (A, 2) to goals (2, N), straight or by a corner.
+
+    sides: (S, 4), x and y of both ends, that no leg to a goal may cross.  corners: (C, 2).
+    to_corners: (A, C) m from each place, infinite if there is no way. Without any way it is the straight
+    distance.
+    """
+    result = np.empty((len(places), goals.shape[1]))
+    last = np.empty(len(corners))  # m of the leg from each corner; below 0: not known yet
+    for n in range(goals.shape[1]):
+        goal_x, goal_y = goals[0, n], goals[1, n]
+        last[:] = -1.0
+        for a in range(len(places)):
+            x, y = places[a]
+            east, north = goal_x - x, goal_y - y
+            direct = math.sqrt(east * east + north * north)
+            best = direct if _is_seen(x, y, goal_x, goal_y, sides) else np.inf
+            for c in range(len(corners) if best == np.inf else 0):
+                if to_corners[a, c] >= best:
+                    continue
+                if last[c] < 0.0:
+                    east, north = goal_x - corners[c, 0], goal_y - corners[c, 1]
+                    last[c] = math.sqrt(east * east + north * north)
+                    if not _is_seen(corners[c, 0], corners[c, 1], goal_x, goal_y, sides):
+                        last[c] = np.inf
+                best = min(best, to_corners[a, c] + last[c])
+            result[a, n] = best if best < np.inf else direct
+    return result
