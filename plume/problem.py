@@ -378,7 +378,8 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     def allowed(self, seed: int, source: Place, start: Place) -> tuple[Place, Place]:
         """Return a source and a start that a seed has drawn, drawn anew while they are not allowed.
 
-        A source has to be where one may be, `may_leak`, a start where a vehicle may be.
+        A source has to be where one may be, `may_leak`, a start where a vehicle may be
+        that comes straight from home.
         """
         if (obstacles := self.ground.obstacles) is None:
             return source, start
@@ -389,7 +390,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             source = _uniform(rng, self.sources)
         rng = keyed(seed, "start again")
         for _ in range(MOST_DRAWS):
-            if obstacles.are_clear(np.array(start, np.float32).astype(np.float64)):
+            if obstacles.may_begin(np.array(start, np.float32).astype(np.float64)):
                 break
             start = _uniform(rng, self.starts)
         return source, start
@@ -415,11 +416,12 @@ def _check_ways(ground: Fenced, starts: Area | Place, expected: Area, sources: A
     polygons = {f"keep_out[{number}]": polygon for number, polygon in enumerate(ground.keep_out)}
     _check_polygons(polygons | ({"keep_in": ground.keep_in} if ground.keep_in else {}))
     obstacles, begins = ground.obstacles, _grid(starts, 6)
-    begins = begins[obstacles.are_clear(begins)]
+    begins = begins[obstacles.may_begin(begins)]
     if not len(begins):
         raise ValueError(
-            f"start: {_said(starts)} is in keep_out, out of keep_in, or within {ground.clearance_m:g} m of "
-            "their sides; wanted a place or a rectangle that is free, at least in part"
+            f"start: {_said(starts)} is in keep_out, out of keep_in, within {ground.clearance_m:g} m of a "
+            "side of them, or behind keep_out as seen from home, (0, 0); wanted a place or a rectangle that "
+            "is free, at least in part"
         )
     for name, place in (("prior", expected), ("source", sources)):
         if not ground.source_inside and obstacles.enclose(_grid(place, 64)).all():

@@ -5,7 +5,7 @@ import numpy as np
 from agent.planning import kernels
 from agent.planning.predict import Cloud, lengths
 from plume.elementary import Array
-from plume.polygons.obstacles import Obstacles, straight, ways_between
+from plume.polygons.obstacles import Obstacles
 from plume.problem import Area
 
 
@@ -26,18 +26,16 @@ def distances_to(goal: Array, places: Array, area: Area) -> Array:
 def around(places: Array, goals: Array, obstacles: Obstacles) -> Array:
     """Return the lengths of the shortest ways from places (..., 2) m to goals (2, N): (..., N) m.
 
-    Ways turn at corners, a clearance away from obstacles. The last leg may come nearer, but crosses no side.
-    Where there is no way, as to a source inside, it is the straight distance.
+    Ways stay clear of obstacles, but for the last leg to a goal that is not clear. Without any way, as to
+    a source inside, it is the straight distance.
     """
-    flat = places.reshape(-1, 2)
-    to_corners = straight(flat, obstacles.corners)
-    to_corners[~obstacles.are_free(ways_between(flat, obstacles.corners))] = np.inf
-    to_corners = (to_corners[:, :, None] + obstacles.between).min(axis=1, initial=np.inf)
     found = kernels.shortest_ways(
-        np.ascontiguousarray(flat),
+        np.ascontiguousarray(places.reshape(-1, 2)),
         np.ascontiguousarray(goals),
-        np.ascontiguousarray(obstacles.sides.reshape(-1, 4)),
+        obstacles.sides.reshape(-1, 4),
+        obstacles.owners,
         obstacles.corners,
-        to_corners,
+        obstacles.between,
+        obstacles.clearance_m,
     )
-    return found.reshape(*places.shape[:-1], -1)
+    return np.asarray(found.reshape(*places.shape[:-1], -1))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plume.polygons.polygons import Array, Flags, Place, enclosed, gaps, grown_corners, sides_of
 
@@ -32,11 +33,17 @@ class Obstacles:
     @cached_property
     def sides(self) -> Array:
         """All sides, (S, 2, 2) m; those to keep out of come first."""
-        return np.concatenate(self._polygons)
+        return np.ascontiguousarray(np.concatenate(self._polygons))
 
     @cached_property
     def _outs(self) -> int:
         return sum(map(len, self._polygons[: len(self.keep_out)]))
+
+    @cached_property
+    def owners(self) -> NDArray[np.int64]:
+        """The number of the first side of each side's polygon, (S,)."""
+        counts = [len(sides) for sides in self._polygons]
+        return np.repeat(np.cumsum([0, *counts[:-1]]), counts)
 
     @property
     def walls(self) -> Array:
@@ -47,6 +54,15 @@ class Obstacles:
         """Whether places (..., 2) m are inside a polygon to keep out of: (...)."""
         return enclosed(places, self.walls)
 
+    def cross(self, ways: Array) -> Flags:
+        """Whether straight ways (..., 2, 2) m touch a polygon to keep out of, the clearance aside: (...)."""
+        touch = (gaps(ways[..., None, :, :], self.walls) == 0).any(axis=-1)
+        return np.asarray(touch | self.enclose(ways[..., 0, :]))
+
+    def may_begin(self, places: Array) -> Flags:
+        """Whether searches may begin at places (..., 2) m: they are clear, and so is the line from home."""
+        return self.are_clear(places) & ~self.cross(np.stack([np.zeros_like(places), places], axis=-2))
+
     def are_free(self, ways: Array) -> Flags:
         """Whether straight ways (..., 2, 2) m keep clear of all: (...). A way from a place to itself may."""
         flat = ways.reshape(-1, 2, 2)
@@ -55,8 +71,11 @@ class Obstacles:
         return np.concatenate([*free, np.empty(0, np.bool_)]).reshape(ways.shape[:-2])
 
     def _free(self, ways: Array) -> Flags:
-        starts = ways[:, 0]
-        free = (gaps(ways[:, None], self.sides) > self.clearance_m).all(axis=1) & ~self.enclose(starts)
+        same = (ways[:, 0] == ways[0, 0]).all()  # as a planner's are
+        starts = ways[:1, 0] if same else ways[:, 0]
+        low, high = ways.min(axis=(0, 1)) - self.clearance_m, ways.max(axis=(0, 1)) + self.clearance_m
+        near = ((self.sides.max(axis=1) >= low) & (self.sides.min(axis=1) <= high)).all(axis=1)
+        free = (gaps(ways[:, None], self.sides[near]) > self.clearance_m).all(axis=1) & ~self.enclose(starts)
         return np.asarray(free & enclosed(starts, self.sides[self._outs :]) if self.keep_in else free)
 
     def are_clear(self, places: Array) -> Flags:
@@ -69,7 +88,7 @@ class Obstacles:
         margin_m = self.clearance_m + HAIR_M
         found = np.concatenate([grown_corners(sides, margin_m) for sides in self._polygons])
         found = found[((found >= self.low) & (found <= self.high)).all(axis=1)]
-        return np.asarray(found[self.are_clear(found)])
+        return np.ascontiguousarray(found[self.are_clear(found)])
 
     @cached_property
     def between(self) -> Array:

@@ -150,9 +150,9 @@ def test_polygons_are_told_in_text_and_to_services_without_the_source() -> None:
         ({"keep_out": HOUSES, "clearance_m": -1.0}, "clearance_m: -1.0 is not allowed; wanted 0 to 1000 m"),
         (
             {"keep_out": HOUSES, "start": (10.0, 10.0)},
-            r"start: \[10, 10\] is in keep_out, out of keep_in, or",
+            r"start: \[10, 10\] is in keep_out, out of keep_in, within",
         ),
-        ({"keep_out": HOUSES, "start": (7.0, 7.0)}, r"start: \[7, 7\] is in keep_out, .* or within 2 m"),
+        ({"keep_out": HOUSES, "start": (7.0, 7.0)}, r"start: \[7, 7\] is in keep_out, .* within 2 m of a"),
         (
             {"keep_out": HOUSES, "prior": Area((19.0, 16.0), (23.0, 20.0))},
             r"prior: \[19, 23\] x \[16, 20\] m is inside keep_out, where no source is; wanted",
