@@ -252,10 +252,12 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
         ```
     """
     sample = WeightedSample(*(array.copy() for array in posterior.sample))
-    earlier = np.ones(len(posterior.readings), np.int64) if posterior.vehicles is None else posterior.vehicles
-    own = np.flatnonzero(earlier == reading.vehicle)  # an instrument follows its own readings only
-    before = posterior.readings[own[-1]] if len(own) else None
+    vehicles = posterior.vehicles
+    if vehicles is not None or reading.vehicle != 1:
+        earlier = np.ones(len(posterior.readings), np.int64) if vehicles is None else vehicles
+        vehicles = np.append(earlier, reading.vehicle)
+    own = posterior.readings if vehicles is None else posterior.readings[vehicles[:-1] == reading.vehicle]
+    before = own[-1] if len(own) else None  # an instrument follows its own readings only
     readings = np.vstack([posterior.readings, config.row(reading, before)])
     rank = update(sample, readings, config.model, config.seed, config.sweeps)
-    vehicles = np.append(earlier, reading.vehicle)
     return Posterior(*sample, readings, np.append(posterior.ranks, rank), vehicles)

@@ -1,9 +1,9 @@
 """Compiled kernels: numba's `njit`, with its cache in a folder named after all that a kernel is made of.
 
 Numba knows a kernel by its own file alone: if a function or a constant of another file changes, it still
-runs the old machine code. Here a kernel may use what stands in its own folder and in plume/. A digest of
-these sources and tables and of the libraries' versions names the folder, so a change of any leads to an
-empty one. Within a folder numba tells processors apart.
+runs the old machine code. Here a kernel may use what stands in its own folder, in plume/ and in
+plume/sensors/. A digest of these sources and tables and of the libraries' versions names the folder, so a
+change of any leads to an empty one. Within a folder numba tells processors apart.
 
 Numba numbers functions by the order in which a process compiles them, and calls a function of a library by
 its name and number: a sort that one process has compiled would run for an argsort of another. So each kernel
@@ -120,7 +120,8 @@ def folder_of(sources: Path) -> Path | None:
     It is in NUMBA_CACHE_DIR, else beside the sources, else in the user's own cache.
     """
     digest = hashlib.blake2b(VERSIONS.encode(), digest_size=12)
-    folders = (sources, Path(__file__).parent)
+    plume = Path(__file__).parent
+    folders = (sources, plume, plume / "sensors")
     for path in [path for folder in folders for kind in KINDS for path in sorted(folder.glob(kind))]:
         digest.update(f"{path.name} {path.stat().st_size}\n".encode() + path.read_bytes())
     users = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")

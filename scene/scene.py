@@ -91,6 +91,7 @@ class Condition:
     ailing: tuple[str, ...] | None = None  # parts that are on and not healthy, in MAVLink's words
     placed: bool | None = None  # whether its estimator stands by the position
     wind: tuple[float, float] | None = None  # as it estimates it: points to where it comes from, m/s
+    lost: float | None = None  # share of what was sent to it that did not arrive whole, 0 to 1
 
     @property
     def health(self) -> str:

@@ -25,7 +25,13 @@ PACKAGES = ("plume", "link", "estimator", "aircraft", "sitl", "scene", "agent", 
 DEVELOPMENT = ("tests", "benchmarks")
 EXTRAS = {
     "train": ("agent/learn/", "plumeward/environments.py"),
-    "view": ("scene/drawing.py", "scene/footage.py", "scene/animation.py", "agent/trials/report/"),
+    "view": (
+        "scene/drawing.py",
+        "scene/footage.py",
+        "scene/animation.py",
+        "agent/trials/report/",
+        "ground/findings/background.py",
+    ),
     "ray": ("agent/trials/cluster.py",),
     "plumes": ("plume/recorded/",),
     "ros2": ("ground/ros2/",),

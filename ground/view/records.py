@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from link.record.reader import read
 from scene.follow.history import History, history_of, remark_on
@@ -15,8 +16,8 @@ class RecordedVehicle:
 
     version = 0
 
-    def __init__(self, name: str, history: History) -> None:
-        self.name = name
+    def __init__(self, name: str, history: History, path: Path) -> None:
+        self.name, self.path = name, path
         self._history = history
 
     def entry(self) -> dict[str, Any]:
@@ -28,6 +29,7 @@ class RecordedVehicle:
             "has_truth": self._history.backdrop.release is not None,
             "begin_s": self._history.begin_s,
             "end_s": self._history.time_s,
+            "findings": f"/findings/{quote(self.name, safe='')}",
             "readings_s": self._history.measurements.times_s,
             "moments": [
                 (max(each.time_s, self._history.begin_s), each.level, each.who, each.text)
@@ -58,7 +60,7 @@ class RecordedFleet:
             recording = read(path)
             history = history_of(recording, name)
             self.damaged |= bool(recording.damage)
-            self.vehicles[name] = RecordedVehicle(name, history)
+            self.vehicles[name] = RecordedVehicle(name, history, path)
             if remark := remark_on(recording, history):
                 remarks.append(f"the record {name} {remark}")
         self.notice = "; ".join(remarks)  # what people should know of the files

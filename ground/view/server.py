@@ -13,7 +13,7 @@ from msgspec import Meta
 from starlette.applications import Starlette
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
@@ -22,6 +22,7 @@ from starlette.websockets import WebSocket
 from aircraft.operator import CommandName
 from ground.view.access import PROTOCOL, WORD_STATES, AccessRules, Doorkeeper, word_of
 from ground.view.control import URGENT, CommandAnswer, operate
+from ground.view.findings import FindingsOfRecords
 from ground.view.live import LiveFleet, LiveVehicle
 from ground.view.records import RecordedFleet, RecordedVehicle
 from ground.view.serving import TRY_AGAIN_LATER, converse, guarded
@@ -70,6 +71,7 @@ class PageServer:
         self._shown = shown
         self._rules = rules
         self._door = Doorkeeper(rules)
+        self._findings_of = FindingsOfRecords()
         self.clients: set[Client] = set()  # the pages that are connected
         self._commanded: dict[str, tuple[CommandName, asyncio.Task[CommandAnswer]]] = {}  # last, by vehicle
         self.bye = ""  # set when there will be nothing new to say; pages keep what they show
@@ -81,6 +83,7 @@ class PageServer:
             routes=[
                 Route("/", self._index),
                 WebSocketRoute("/scenes", self._scenes),
+                Route("/findings/{name:path}", self._findings),
                 Mount("/static", GZipMiddleware(StaticFiles(directory=PAGE, check_dir=False))),
             ]
         )
@@ -94,6 +97,12 @@ class PageServer:
 
     async def _index(self, _request: Request) -> Response:
         return FileResponse(PAGE / "index.html")
+
+    async def _findings(self, request: Request) -> Response:
+        vehicle = self._shown.vehicles.get(request.path_params["name"])
+        if not isinstance(vehicle, RecordedVehicle):
+            return PlainTextResponse("no findings: there is no such record\n", 404)
+        return await self._findings_of.page(vehicle.path)
 
     async def _scenes(self, socket: WebSocket) -> None:
         offered = socket.scope["subprotocols"]

@@ -38,14 +38,14 @@ TRY_AGAIN_LATER, POLICY = 1013, 1008  # reasons for closing a WebSocket, by its 
 def guarded(app: ASGIApp, rules: AccessRules) -> ASGIApp:
     """Return the app behind its checks.
 
-    Strangers get 403 and a line that says why. Every answer has HEADERS. A client that is too slow to read
-    what a WebSocket sends is cut off.
+    Strangers get 403 and a line that says why. Every answer has HEADERS, where it has none of its own.
+    A client that is too slow to read what a WebSocket sends is cut off.
     """
 
     async def checked(scope: Scope, receive: Receive, send: Send) -> None:
         async def answer(message: Message) -> None:
             if message["type"].endswith("http.response.start"):
-                message = {**message, "headers": [*message["headers"], *HEADERS.items()]}
+                message = {**message, "headers": [*(HEADERS | dict(message["headers"])).items()]}
             async with asyncio.timeout(SEND_S if scope["type"] == "websocket" else None):
                 await send(message)
 

@@ -135,6 +135,7 @@ def _craft(craft: Craft) -> dict[str, Any]:
         "volts": it.volts,
         "gps": it.gps,
         "health": it.health,
+        "lost": it.lost,
     }
 
 

@@ -91,6 +91,7 @@ def _condition(known: Condition, message_id: int, fields: dict[str, Any]) -> Con
                 battery=percent / 100 if 0 <= percent <= 100 else None,
                 volts=None if millivolts in (0, UNKNOWN_MV) else millivolts / 1e3,
                 ailing=_ailing(fields),
+                lost=min(fields["drop_rate_comm"] / 1e4, 1.0),
             )
         case 24:  # GPS_RAW_INT
             kind, satellites = fields["fix_type"], fields["satellites_visible"]

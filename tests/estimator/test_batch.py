@@ -39,7 +39,7 @@ def together(configs: list[Config], flights: list[list[Reading]], threads: int) 
 
 
 def bits(posterior: Posterior) -> list[bytes]:
-    return [value.tobytes() for value in vars(posterior).values()]
+    return [b"" if value is None else value.tobytes() for value in vars(posterior).values()]
 
 
 @pytest.mark.parametrize(

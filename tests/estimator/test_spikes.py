@@ -156,7 +156,7 @@ SIZES = (0.5, 2.0, 8.0, 50.0, 1000.0, -8.0)
 def test_a_mission_with_a_false_reading_ceases_at_the_source(
     size: float, step: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(WRONG, "spiked", Wrong("", lambda _: Errors(spikes=((step, size),))))
+    monkeypatch.setitem(WRONG, "spiked", Wrong("", lambda *_: Errors(spikes=((step, size),))))
     flown = mission(1_000_003, "homing", 1000, 0.5, 100, world="spiked", assume="field")
     *_, last = flown.steps
     assert last.belief.ceased
@@ -165,7 +165,7 @@ def test_a_mission_with_a_false_reading_ceases_at_the_source(
 
 @pytest.mark.parametrize("sensor", [Threshold(), Hits()], ids=text)
 def test_other_sensors_may_spike_too(sensor: Sensor, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(WRONG, "spiked", Wrong("", lambda _: Errors(spikes=((6, 8.0), (9, 30.0)))))
+    monkeypatch.setitem(WRONG, "spiked", Wrong("", lambda *_: Errors(spikes=((6, 8.0), (9, 30.0)))))
     flown = mission(1_000_003, "homing", 1000, 0.5, 120, world="spiked", assume="field", sensor=sensor)
     *_, last = flown.steps
     assert last.belief.ceased

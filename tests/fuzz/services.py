@@ -34,7 +34,8 @@ from link.bus.session import Arrival, Bus, LivelinessChange
 from link.bus.tally import FAULT, REPEATED, Tally
 from link.modes import Mode
 from link.record.reader import read
-from plume.scenario import AREA_M, draw
+from plume.problem import AREA
+from plume.scenario import draw
 from plume.sensors.names import GAUSSIAN
 from plume.worlds.world import World
 from sitl.autopilot.config import VehicleConfig
@@ -149,7 +150,7 @@ def reading(data: bytes) -> None:
     assert len(answers) + bus.tally.refused.total() - bus.tally.refused[REPEATED] == 3
     for said, attachment in answers:
         belief = msgspec.json.decode(said, type=Belief)
-        agent.check(belief, AREA_M)
+        agent.check(belief, AREA)
         unpack_particles(attachment, len(belief.unknowns))
 
 
@@ -207,8 +208,8 @@ def belief(data: bytes) -> None:
     for key, frames, _ in bus.published:
         assert key is WAYPOINT
         (waypoint,) = (mavlink.MAVLink(None).decode(bytearray(frame.data)) for frame in split(frames))
-        assert 0.0 <= waypoint.x <= AREA_M
-        assert 0.0 <= waypoint.y <= AREA_M
+        assert 0.0 <= waypoint.x <= 30.0
+        assert 0.0 <= waypoint.y <= 30.0
         assert math.isfinite(waypoint.z)
 
 

@@ -119,7 +119,9 @@ class OneRecord:
         (FOLDER / "shown.mcap").write_bytes(record_seeds()[0])
         from scene.follow.history import history_of
 
-        self.vehicles = {"uav/1": RecordedVehicle("uav/1", history_of(read(FOLDER / "shown.mcap")))}
+        self.vehicles = {
+            "uav/1": RecordedVehicle("uav/1", history_of(read(FOLDER / "shown.mcap")), FOLDER / "shown.mcap")
+        }
 
 
 @cache

@@ -53,4 +53,4 @@ def test_a_stop_outside_the_area_says_so_and_one_near_either_source_is_right() -
     two = Release((11.0, 20.0), (2.0, 0.0), q=300.0, d=2.0, tau=10.0, second=(20.0, 5.0))
     assert judged(40, (20.5, 5.0), 0.4, 0.0, two).verdict == "located"
     single = [Release(place, (2.0, 0.0), q=300.0, d=2.0, tau=10.0) for place in two.sources]
-    assert two.gas(30.0, 12) == pytest.approx(sum(each.gas(30.0, 12) for each in single), rel=1e-5)
+    assert two.gas(AREA, 12) == pytest.approx(sum(each.gas(AREA, 12) for each in single), rel=1e-5)

@@ -33,6 +33,7 @@ from link.bus.keys import BELIEF, READING, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Reading, unpack_reading, waypoint_message
 from link.bus.messages import pack_particles
 from link.record.reader import read
+from plume.problems.options import add_problem_argument, problem_of
 from plume.randomness import Keyed, keyed
 from plume.scenario import AS_MODELLED, draw
 from plume.sensors.instruments import INSTRUMENTS
@@ -80,12 +81,14 @@ def told(words: list[str]) -> Config:
     parser = cli.Parser()
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
+    add_problem_argument(parser)
     parser.add_argument("--seed", type=int)
     for flag in ("--rate", "--diffusivity", "--lifetime", "--sysid"):
         parser.add_argument(flag, type=float)
     args = parser.parse_args(words)
-    (stops,) = criteria(args)
-    knows = knowledge(args)
+    problem = problem_of(args)
+    (stops,) = criteria(args, problem)
+    knows = knowledge(args, problem)
     return Config(
         args.particles,
         stops.threshold_m,

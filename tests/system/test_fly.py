@@ -3,6 +3,7 @@ somebody interrupts.
 """
 
 import json
+import math
 import os
 import signal
 import socket
@@ -13,6 +14,7 @@ from typing import NamedTuple
 import pytest
 
 from link.record.reader import read
+from plume.geodesy import HOME
 from tests.system.conftest import Part
 from tests.system.live import run_sitl
 
@@ -20,6 +22,7 @@ PARTS = ["router", "uav", "estimator", "agent"]
 COMPILES_S = 1500
 """Longest time in which a busy machine compiles the kernels twice at once."""
 LONG = ("sitl", "fly", "--policy", "random", "--speedup", "4")  # 300 moves take 87 s at this speed-up
+M_PER_DEGREE = 6_371_000 * math.pi / 180  # to the north
 
 
 class Flight(NamedTuple):
@@ -53,8 +56,8 @@ def nothing_is_left(pids: dict[str, int]) -> bool:
 
 @pytest.fixture(scope="module")
 def to_the_stop(tmp_path_factory: pytest.TempPathFactory) -> Flight:
-    """A mission that finds its source, with its result as JSON."""
-    return fly(tmp_path_factory.mktemp("stop"), "--seed", "1", "--json")
+    """A mission that finds its source, with its result as JSON, and its findings."""
+    return fly(tmp_path_factory.mktemp("stop"), "--seed", "1", "--json", "--findings", "found")
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +115,26 @@ def test_it_leaves_a_summary_a_record_and_a_telemetry_log(to_the_stop: Flight) -
     assert written["outcome"]["estimate"] == result["estimate"]
     assert len(written["outcome"]["trace"]) == result["steps"] + 1
     assert written["mission"]["seed"] == 1
+
+
+def test_its_findings_say_the_same_as_its_result_and_where_on_earth_that_is(to_the_stop: Flight) -> None:
+    found = to_the_stop.folder / "found"
+    assert {path.suffix for path in found.iterdir()} == {".html", ".geojson", ".kml", ".json", ".csv"}
+    result, findings = json.loads(to_the_stop.out[-1]), json.loads((found / "findings.json").read_text())
+    assert findings["verdict"] == "found"
+    for name in ("latitude_deg", "longitude_deg", "rate_gs"):
+        assert findings[name] == pytest.approx(result[name], rel=1e-5)
+    east, north = result["estimate"]
+    latitude_deg = HOME[0] + north / M_PER_DEGREE
+    assert result["latitude_deg"] == pytest.approx(latitude_deg, abs=1e-8)
+    longitude_deg = HOME[1] + east / M_PER_DEGREE / math.cos(math.radians(latitude_deg))
+    assert result["longitude_deg"] == pytest.approx(longitude_deg, abs=1e-8)
+    xx, _, yy = result["covariance_m2"]
+    assert xx + yy == pytest.approx(result["spread_m"] ** 2)
+    low, high = result["rate_interval_gs"]
+    assert low < result["rate_gs"] < high
+    assert low < result["scenario"]["q"] < high
+    assert {"_deg", "_gs", "_m2"} <= {ending.removeprefix("*") for ending in result["units"]}
 
 
 @pytest.mark.full

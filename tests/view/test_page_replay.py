@@ -2,6 +2,8 @@
 expected is read from the files.
 """
 
+import math
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,9 +14,12 @@ from ground.view.records import RecordedFleet
 from link.bus.keys import BELIEF
 from link.bus.messages import Belief
 from link.record.reader import read
+from plume.geodesy import HOME
 from tests.view.conftest import PHONE, Window
 from tests.view.stage import Served
 
+M_PER_DEGREE = 6_371_000 * math.pi / 180  # to the north
+PATIENCE_MS = 120_000.0  # the machine may be busy
 GOLDEN = Path(__file__).parents[1] / "golden"
 HOMING, INFOTAXIS = "homing-gaussian", "infotaxis-gaussian"
 
@@ -89,6 +94,31 @@ def test_a_record_opens_at_its_outcome(replay: Window) -> None:
     assert not replay.page.locator(".operator").is_visible()  # a record takes no commands
     assert replay.violations() == []
     replay.keep("replay")
+
+
+def test_the_findings_of_a_record_are_one_click_away(replay: Window) -> None:
+    _, last = beliefs(HOMING)[-1]
+    errors: list[str] = []
+    asked: list[str] = []
+    replay.page.context.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
+    replay.page.context.on("request", lambda request: asked.append(request.url))
+    with replay.page.expect_popup() as opened:
+        replay.page.get_by_role("link", name="Findings").click()
+    findings = opened.value
+    findings.wait_for_load_state(timeout=PATIENCE_MS)
+    said = findings.inner_text("body")
+    assert f"{HOMING}.mcap" in said
+    latitude = re.search(r"latitude ([\d.]+)°", findings.inner_text(".verdict"))
+    assert latitude
+    assert float(latitude[1]) == pytest.approx(HOME[0] + last.mean[1] / M_PER_DEGREE, abs=2e-7)
+    assert errors == []
+    assert asked == [f"{replay.address}findings/{HOMING}"]
+    findings.close()
+
+
+def test_findings_of_what_is_no_record_are_a_line(replay: Window) -> None:
+    answer = replay.page.context.request.get(f"{replay.address}findings/none")
+    assert (answer.status, answer.text()) == (404, "no findings: there is no such record\n")
 
 
 @pytest.mark.full

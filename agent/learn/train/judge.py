@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -11,6 +12,7 @@ from agent.bundle import read, write
 from agent.learn.env import Settings
 from agent.trials.evaluate import FIRST_TEST_SEED, named, print_table
 from agent.trials.sweep import Sweep, flown, journal_of, on_cores
+from estimator.criterion import USUAL_THRESHOLD_M
 
 
 def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
@@ -27,7 +29,7 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
     if page.evaluation:
         return
     settings = Settings(**page.training["env"])
-    stop = settings.criterion
+    stop = replace(settings, threshold_m=USUAL_THRESHOLD_M).criterion  # what it is flown with
     sweep = Sweep(
         [str(bundle)],
         range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios),

@@ -13,6 +13,7 @@ const STATES = { found: "✓", false: "✕", outside: "↗", spent: "!", paused:
 const MOST_ROWS = 200;
 const LOW = 0.25, EMPTY = 0.12; // shares of charge, as in scene/state.py
 const QUIET_S = 2, SILENT_S = 3; // since the vehicle was heard
+const LOSSY = 0.02; // share of what is sent to the vehicle that does not arrive
 
 export class Pane {
   /** on: {draw(): draw again, command(name, vehicle), seek(time_s), aloud(text)}. */
@@ -65,6 +66,8 @@ export class Pane {
     this.root.setAttribute("aria-label", `Vehicle ${this.name}`);
     this.find(".operator").setAttribute("aria-label", `Operator of ${this.name}`);
     this.gone = gone;
+    this.find(".findings").hidden = !vehicle?.findings;
+    if (vehicle?.findings) this.find(".findings").href = vehicle.findings;
   }
 
   /** Allow commands, or say why not; `lost`: what the sentence says instead while the page has no connection. */
@@ -111,7 +114,7 @@ export class Pane {
   drawFacts(scene, row) {
     const { craft, state } = scene, [flies, meaning] = modeOf(craft?.mode);
     const metres = (value, digits = 0) => (Number.isFinite(value) ? `${value.toFixed(digits)} m` : "–");
-    const silent = scene.silent_s ?? null;
+    const silent = scene.silent_s ?? null, lost = craft?.lost ?? 0;
     const facts = {
       flies,
       altitude: craft && Number.isFinite(craft.x) ? metres(craft.altitude_m, 1) : "–",
@@ -119,7 +122,7 @@ export class Pane {
       battery: Number.isFinite(craft?.battery) ? `${Math.round(100 * craft.battery)}%` : "–",
       volts: Number.isFinite(craft?.volts) ? `${craft.volts.toFixed(1)} V` : "–",
       home: metres(craft?.home_m),
-      link: silent === null ? "–" : silent < QUIET_S ? "good" : `silent ${silent.toFixed(0)} s`,
+      link: silent === null ? "–" : silent >= QUIET_S ? `silent ${silent.toFixed(0)} s` : lost < LOSSY ? "good" : `${Math.round(100 * lost)}% lost`,
       moves: row ? `${row.step}${state.moves_left === null ? "" : ` of ≈${row.step + state.moves_left}`}` : "–",
       left: state.seconds_left === null ? "–" : `≈ ${duration(state.seconds_left)}`,
       mode: craft?.mode || "–",
@@ -141,7 +144,7 @@ export class Pane {
     mark(this.facts.gps, /^no /.test(facts.gps) && "warn");
     mark(this.facts.health, !["ok", "–"].includes(facts.health) && "warn");
     mark(this.facts.battery, craft?.battery <= EMPTY && craft.battery !== null ? "bad" : craft?.battery <= LOW && craft.battery !== null && "warn");
-    mark(this.facts.link, silent >= SILENT_S ? "bad" : silent >= QUIET_S && "warn");
+    mark(this.facts.link, silent >= SILENT_S ? "bad" : (silent >= QUIET_S || lost >= LOSSY) && "warn");
     mark(this.facts.flies, flies.startsWith("pilot") && "warn");
   }
 

@@ -335,7 +335,7 @@ def test_a_reset_has_no_option_but_a_problem_and_says_so() -> None:
         for none in (None, {}):
             env.reset(seed=1, options=none)
         with pytest.raises(
-            ValueError, match=r"^options \{'start': \(1.0, 2.0\)\} are not allowed; wanted none: "
+            ValueError, match=r"^options \{'start': \(1.0, 2.0\)\} are not allowed; wanted none, or "
         ):
             env.reset(seed=1, options={"start": (1.0, 2.0)})
         with pytest.raises(ValueError, match=r"step_m: 20.0 is not allowed; wanted above 0 up to 10 m"):
@@ -421,7 +421,7 @@ def test_gymnasiums_wrappers_of_many_count_missions_right() -> None:
     [
         ({"observation": "pixels"}, "observation 'pixels' is not allowed; wanted paper or polar"),
         ({"reward": "more"}, "reward 'more' is not allowed; wanted paper or cost"),
-        ({"world": "windy"}, f"no world 'windy'; wanted {', '.join(OURS)}"),
+        ({"world": "windy"}, f"world: no world 'windy'; wanted {', '.join(OURS)}"),
         ({"headings": 1}, "headings 1 is not allowed; wanted a whole number from 2"),
         ({"headings": 7.5}, "headings 7.5 is not allowed; wanted a whole number from 2"),
         ({"particles": 9}, "particles 9 is not allowed; wanted a whole number from 10"),

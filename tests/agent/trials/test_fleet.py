@@ -15,6 +15,7 @@ from agent.trials.sweep import Sweep, fly
 from estimator.filter import assimilate, prior
 from plume.outcome import TracePoint, outcome_text
 from plume.polygons.polygons import gaps
+from plume.problem import PAPER
 from plume.randomness import derived_seed
 from plume.scenario import draw
 from plume.sensors.names import parse
@@ -49,7 +50,7 @@ def test_a_vehicles_start_does_not_depend_on_how_many_follow() -> None:
 @pytest.mark.parametrize("given", [(0,), (9,), (2, "nowhere"), (2, "point", -1.0), (4, "edge", 7.6)])
 def test_a_fleet_that_cannot_start_is_refused_in_one_line(given: tuple) -> None:
     with pytest.raises(ValueError, match=r"^--(vehicles|from|separation): .* (wanted|room)") as refusal:
-        Fleet(*given)
+        Fleet(*given).within(PAPER)
     assert "\n" not in str(refusal.value)
 
 

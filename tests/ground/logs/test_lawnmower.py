@@ -15,6 +15,7 @@ from estimator.priors import parse as parse_prior
 from ground.replay.source import find
 from link.bus.mavlink import unpack_reading
 from plume.geodesy import to_global, to_local
+from plume.problem import square
 from plume.sensors.names import parse as parse_sensor
 from tests.ground.logs.flights import Plume, gasflux, globe, skyhub
 from tests.ground.replay.test_source import FLAGS
@@ -34,7 +35,7 @@ def test_the_source_of_a_flown_lawnmower_lies_within_its_95_percent_region(
     config = Config(
         particles=600,
         diffusivity=float(words["--diffusivity"]),
-        area_m=float(words["--area"]),
+        area=square(float(words["--area"])),
         sensor=parse_sensor(words["--sensor"]),
         assume=words["--assume"],
         priors=dict([parse_prior(words["--prior"])]),

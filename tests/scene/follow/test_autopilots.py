@@ -46,9 +46,9 @@ def landed(state: int) -> object:
     return mavlink.MAVLink_extended_sys_state_message(0, state)
 
 
-def status(percent: int, millivolts: int, healthy: int = ALL_WELL) -> object:
+def status(percent: int, millivolts: int, healthy: int = ALL_WELL, lost: int = 0) -> object:
     return mavlink.MAVLink_sys_status_message(
-        ALL_WELL, ALL_WELL, healthy, 0, millivolts, -1, percent, 0, 0, 0, 0, 0, 0
+        ALL_WELL, ALL_WELL, healthy, 0, millivolts, -1, percent, lost, 0, 0, 0, 0, 0
     )
 
 
@@ -216,6 +216,7 @@ def test_a_battery_and_a_gps_are_shown_as_they_are_and_what_is_lost_is_lost(hear
     assert (condition.battery, condition.volts, condition.gps) == (None, 15.3, "no fix, 0 satellites")
     assert condition.health == "not healthy: gps, position"
     assert heard(gps(0, 255)).craft.condition.gps == "no GPS"
+    assert heard(status(50, 15_000, lost=350)).craft.condition.lost == 0.035  # in hundredths of a percent
 
 
 def test_a_position_lost_is_told_also_by_a_px4_which_sends_another_message(heard: Heard) -> None:
