@@ -42,7 +42,7 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
 
 
 def on_post_page(output: str, config: MkDocsConfig, **_: object) -> str:
-    """Give the first page a title that says what this is: its own is the site's name, which the theme adds."""
+    """Give the first page a title that says what this is: its own is the site's name."""
     name = config.site_name
     return output.replace(
         f"<title>{name} - {name}</title>", f"<title>{name}: {config.site_description}</title>"
