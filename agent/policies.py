@@ -168,14 +168,14 @@ def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), problem:
     """
     step = {} if problem.step_m == STEP_M else {"step": problem.step_m}
     if name in registry.PLANNERS:
-        return registry.reach(name, {**step, **given}, problem.area)
+        return registry.reach(name, {**step, **given}, problem.ground)
     if bundle_path(name):
         if given:
             flags = ", ".join(f"--{flag}" for flag in given)
             raise ValueError(f"{flags} is for planners; {name} moves as it was trained to")
         if refusal := _unlike(problem, _trained_for(name)):
             raise ValueError(f"--problem: {refusal}")
-    return Reach(**{**step, **given}, area=problem.area)  # type: ignore[arg-type]
+    return Reach(**{**step, **given}, area=problem.ground)  # type: ignore[arg-type]
 
 
 def _trained_for(name: str) -> Problem:
@@ -231,7 +231,7 @@ def choose(name: str, belief: Belief, particles: Particles, seed: int, within: R
     if place.shape != (2,) or not np.isfinite(place).all():
         raise PolicyError(f"policy {name} said {_short(repr(said))}; wanted a waypoint (x, y) in metres")
     x, y = within.wire.clipped(place).astype(np.float32).tolist()
-    return x, y
+    return within.freed(belief.position, (x, y)) if within.area.obstacles else (x, y)
 
 
 def _short(text: str) -> str:

@@ -60,6 +60,17 @@ class AircraftConfig:
             return "outside the altitudes", f"altitude {metres(-down)} m is outside [0, {self.ceiling_m:g}] m"
         return None
 
+    def in_the_way(self, start: Ned, end: Ned) -> tuple[str, str] | None:
+        """Return why the straight way between positions is not to be flown: kind and reason.
+
+        None if it crosses no polygon to keep out of, at whatever altitude.
+        """
+        obstacles = self.area.obstacles
+        way = np.array([start[1::-1], end[1::-1]])
+        if obstacles is None or not obstacles.cross(way):
+            return None
+        return "keep-out", f"the way to ({metres(end[1])}, {metres(end[0])}) m crosses a polygon of keep_out"
+
 
 class Arrived(NamedTuple):
     """The vehicle came to rest on a setpoint (NED, m from home): one reading is due here."""

@@ -1,4 +1,4 @@
 """The particle filter: takes readings, publishes beliefs and the stop.
 
-Imports: plume, plume.sensors, plume.problems, link, link.bus, estimator.kernels.
+Imports: plume, plume.polygons, plume.sensors, plume.problems, link, link.bus, estimator.kernels.
 """

@@ -80,7 +80,7 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         args.rate,
         args.diffusivity,
         args.lifetime,
-        problem.area,
+        problem.ground,
         within=stop.within,
         expected=problem.prior,
         **known,

@@ -19,7 +19,7 @@ from link.bus.mavlink import Reading
 from plume.elementary import Array, Indices
 from plume.flight import leg_s
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS, PUFF_RATE
-from plume.problem import AREA, Area
+from plume.problem import AREA, Area, Fenced
 from plume.randomness import keyed
 from plume.scenario import LIFETIME_S
 from plume.sensors.instruments import Instrument
@@ -127,7 +127,16 @@ class Config:
     @cached_property
     def model(self) -> Model:
         """Unknowns, priors and sensor as the kernels take them."""
-        return Model(self.unknown_indices, self.prior_rows, sensor_row(self.sensor), np.array([self.spikes]))
+        spikes = np.array([self.spikes])
+        return Model(self.unknown_indices, self.prior_rows, sensor_row(self.sensor), spikes, self.walls)
+
+    @cached_property
+    def walls(self) -> Array:
+        """The sides (W, 4) of polygons in which no source is: x and y of both ends, counter-clockwise."""
+        ground = self.area
+        if not isinstance(ground, Fenced) or ground.source_inside:
+            return np.empty((0, 4))
+        return np.ascontiguousarray(ground.obstacles.walls.reshape(-1, 4))
 
     @cached_property
     def sensor_text(self) -> str:
@@ -222,7 +231,8 @@ def prior(config: Config) -> Posterior:
         (2, 500)
     """
     count = config.particles
-    particles = draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
+    rows, unknowns, rng = config.prior_rows, config.unknown_indices, keyed(config.seed, "prior")
+    particles = draw(rows, unknowns, count, rng, config.walls)
     log_targets = log_priors(particles, config.model)
     return Posterior(
         particles, np.zeros(count), np.ones(count), log_targets, np.empty((0, config.columns)), np.empty(0)

@@ -22,6 +22,7 @@ from plume.parameters import (
     X,
     Y,
 )
+from plume.polygons.polygons import enclosed
 from plume.problem import Area
 from plume.randomness import standard_gamma, standard_normal
 
@@ -29,6 +30,7 @@ SMALLEST = 1e-6  # lower bound of a positive parameter under every prior, so tha
 MOST_DRAWS = 10_000  # most draws of a value until one is within its support
 POSITIVE = ("q", "d", "tau", "wind-speed", "gain", "noise", "puff-rate", "puff-share")
 MOST_OF = {"cv": GREATEST_CV, "puff-share": 1.0}  # of parameters whose greatest value is not MOST
+NO_WALLS: Array = np.empty((0, 4))
 NOT_NEGATIVE = ("q", "u", "d", "tau", "wind-speed", "gain", "noise", "cv", "puff-rate", "puff-share")
 
 
@@ -174,7 +176,32 @@ def table(
     return rows
 
 
-def draw(rows: Array, unknowns: Indices, count: int, rng: np.random.Generator) -> Array:
+def draw(
+    rows: Array, unknowns: Indices, count: int, rng: np.random.Generator, walls: Array = NO_WALLS
+) -> Array:
+    """Draw particles (D, count) from the priors, all outside polygons with these sides, `Config.walls`.
+
+    Raises ValueError if a prior hardly ever gives a value that its parameter can have.
+    """
+    drawn = _drawn(rows, unknowns, count, rng)
+    for _ in range(MOST_DRAWS if len(walls) else 0):
+        inside = enclosed(_places(rows, unknowns, drawn), walls.reshape(-1, 2, 2))
+        if not inside.any():
+            return drawn
+        drawn[:, inside] = _drawn(rows, unknowns, count, rng)[:, inside]
+    if len(walls):
+        raise ValueError("keep_out: nearly every place where the source is expected is inside it")
+    return drawn
+
+
+def _places(rows: Array, unknowns: Indices, particles: Array) -> Array:
+    """Return the places (N, 2) m of particles (D, N), of which x or y may be known."""
+    row_of = {index: row for row, index in enumerate(unknowns.tolist())}
+    known = np.broadcast_to(rows[[X, Y], 1, None], (2, particles.shape[1]))
+    return np.stack([particles[row_of[axis]] if axis in row_of else known[axis] for axis in (X, Y)], axis=1)
+
+
+def _drawn(rows: Array, unknowns: Indices, count: int, rng: np.random.Generator) -> Array:
     """Draw particles (D, count) from the priors.
 
     Uniform priors use a low-discrepancy lattice with a random shift (the R sequence, Roberts 2018): each

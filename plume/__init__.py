@@ -1,5 +1,5 @@
 """The physics that all parts share: dispersion, problems, scenarios, draws, and how long a leg takes.
-Imports: nothing of ours.
+Imports: plume.polygons.
 """
 
 __version__ = "0.1.0"

@@ -64,8 +64,10 @@ def interval(name: str, unknowns: Sequence[str], particles: ArrayLike) -> tuple[
     return low, high
 
 
-class TracePoint(msgspec.Struct, frozen=True):
+class TracePoint(msgspec.Struct, frozen=True, omit_defaults=True):
     """One step of a mission: where a reading was taken, and the belief after it.
+
+    In JSON `vehicle` is left out where it is 1.
 
     Examples:
         >>> _, trace = plumeward.rollout(seed=4)

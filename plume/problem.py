@@ -5,7 +5,8 @@ Metres, x east and y north of home. `paper` is the paper's Table 1, and the defa
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Annotated, Any
 
 import msgspec
@@ -15,6 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from plume.elementary import Array
 from plume.parameters import LIMITS
+from plume.polygons.obstacles import Obstacles
+from plume.polygons.polygons import crosses_itself, outline
+from plume.randomness import keyed, uniform
 from plume.scenario import (
     AREA_M,
     AS_MODELLED,
@@ -36,12 +40,19 @@ LONGEST_DWELL_S = 600.0
 CEILING_M = 120.0  # highest altitude of a search above home
 ALTITUDE_M = 5.0
 PARTS = 3  # a step is at most this part of the area's shorter side: from everywhere there is a way to go
+CLEARANCE_M = (
+    2.0  # distance that ways keep from a polygon's sides: as well as a satellite receiver knows its place
+)
+WIDEST_CLEARANCE_M = 1000.0
+MOST_POLYGONS, MOST_CORNERS = 50, 200  # MOST_CORNERS of all polygons together
+MOST_DRAWS = 100_000  # most draws of a place until one is allowed
 STOP = re.compile(r"spread:[^,]+|within:[^,]+,[^,]+")  # the form of --stop; `estimator.criterion` reads it
 
 Coordinate = Annotated[
     float, Meta(ge=-FARTHEST_M, le=FARTHEST_M, description="a number from -100000 to 100000, m")
 ]
 Place = tuple[Coordinate, Coordinate]
+Corners = Annotated[tuple[Place, ...], Meta(min_length=3, max_length=MOST_CORNERS)]
 Number = Annotated[float, Meta(description="a number")]
 Span = Number | tuple[Number, Number]  # a value, or the least and the greatest of a uniform distribution
 
@@ -82,6 +93,11 @@ class Area(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return math.sqrt(width_m * height_m)
 
     @property
+    def obstacles(self) -> Obstacles | None:
+        """What is in the way in it; None if all of it is free."""
+        return None
+
+    @property
     def text(self) -> str:
         """In words: `[0, 30] x [0, 30] m`."""
         ends = zip(self.low, self.high, strict=True)
@@ -111,6 +127,25 @@ class Area(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         low = [_rounded(part, part, 1) for part in self.low]
         high = [_rounded(part, part, -1) for part in self.high]
         return Area((low[0], low[1]), (high[0], high[1]))
+
+
+class Fenced(Area, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A rectangle with what is in the way in it: the `ground` of a problem."""
+
+    keep_out: tuple[Corners, ...] = ()
+    keep_in: Corners | None = None
+    clearance_m: float = CLEARANCE_M
+    source_inside: bool = False  # whether the source may be inside a polygon to keep out of
+
+    @property
+    def obstacles(self) -> Obstacles:
+        """What is in the way in it."""
+        return _obstacles(self)
+
+
+@lru_cache(64)
+def _obstacles(ground: Fenced) -> Obstacles:
+    return Obstacles(ground.keep_out, ground.keep_in or (), ground.clearance_m, ground.low, ground.high)
 
 
 def square(side_m: float) -> Area:
@@ -153,6 +188,30 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             "default: the south-western sixth of the area"
         ),
     ] = None
+    keep_out: Annotated[
+        tuple[Corners, ...],
+        Meta(
+            max_length=MOST_POLYGONS,
+            description="polygons that no way may enter, such as buildings: lists of their corners in order, "
+            f"(x, y) m, at least 3 each and {MOST_CORNERS} together",
+        ),
+    ] = ()
+    keep_in: Annotated[
+        Corners | None,
+        Meta(
+            description="a polygon that no way may leave: its corners in order, (x, y) m; default: all of "
+            "the area"
+        ),
+    ] = None
+    clearance_m: Annotated[
+        float,
+        Meta(
+            description="how far ways stay from the sides of keep_out and keep_in, a number from 0 to 1000, m"
+        ),
+    ] = CLEARANCE_M
+    source_inside: Annotated[
+        bool, Meta(description="whether the source may be inside a polygon of keep_out: true or false")
+    ] = False
     prior: Annotated[
         Area | None,
         Meta(
@@ -182,6 +241,11 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread:0.5"
 
     def __post_init__(self) -> None:
+        if self.keep_out:  # lists, as in Python's own, become what can be compared and kept
+            polygons = tuple(tuple(map(tuple, polygon)) for polygon in self.keep_out)
+            msgspec.structs.force_setattr(self, "keep_out", polygons)
+        if self.keep_in:
+            msgspec.structs.force_setattr(self, "keep_in", tuple(map(tuple, self.keep_in)))
         width_m = min(self.area.size_m)
         if not width_m >= SHORTEST_M:
             raise ValueError(
@@ -194,6 +258,11 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
                 "step_m",
                 0.0 < self.step_m <= longest_m,
                 f"above 0 up to {longest_m:g} m, a third of the area's shorter side",
+            ),
+            (
+                "clearance_m",
+                0.0 <= self.clearance_m <= WIDEST_CLEARANCE_M,
+                f"0 to {WIDEST_CLEARANCE_M:g} m",
             ),
             ("dwell_s", 0.0 <= (self.dwell_s or 0.0) <= LONGEST_DWELL_S, f"0 to {LONGEST_DWELL_S:g} s"),
             ("budget", 1 <= self.budget <= MOST_STEPS, f"a whole number from 1 to {MOST_STEPS:,}"),
@@ -222,6 +291,22 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
                 f"source: {_said(self.source)} is not allowed; wanted (x, y), each from {-FARTHEST_M:g} to "
                 f"{FARTHEST_M:g} m"
             )
+        if isinstance(self.ground, Fenced):
+            _check_ways(self.ground, self.starts, self.expected, self.sources)
+
+    @property
+    def ground(self) -> Area:
+        """The area, with what is in the way in it."""
+        if not (self.keep_out or self.keep_in):
+            return self.area
+        return Fenced(
+            self.area.low,
+            self.area.high,
+            keep_out=self.keep_out,
+            keep_in=self.keep_in,
+            clearance_m=self.clearance_m,
+            source_inside=self.source_inside,
+        )
 
     @property
     def starts(self) -> Area | Place:
@@ -267,7 +352,17 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     @property
     def told(self) -> "Problem":
         """What services may know of it: not where the source is drawn, nor how the truth differs."""
-        return in_area(self.area, self.prior)
+        told = in_area(self.area, self.prior)
+        if self.ground == self.area:
+            return told
+        return told.changed(
+            start=self.start,
+            source=self.expected,
+            keep_out=self.keep_out,
+            keep_in=self.keep_in,
+            clearance_m=self.clearance_m,
+            source_inside=self.source_inside,
+        )
 
     @property
     def site(self) -> "Problem":
@@ -282,6 +377,31 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             stop=usual.stop,
         )
 
+    def allowed(self, seed: int, source: Place, start: Place) -> tuple[Place, Place]:
+        """Return a source and a start that a seed has drawn, drawn anew while they are not allowed.
+
+        A source has to be where one may be, `may_leak`, a start where a vehicle may be
+        that comes straight from home.
+        """
+        if (obstacles := self.ground.obstacles) is None:
+            return source, start
+        rng = keyed(seed, "source again")
+        for _ in range(MOST_DRAWS):
+            if self.may_leak(source):
+                break
+            source = _uniform(rng, self.sources)
+        rng = keyed(seed, "start again")
+        for _ in range(MOST_DRAWS):
+            if obstacles.may_begin(np.array(start, np.float32).astype(np.float64)):
+                break
+            start = _uniform(rng, self.starts)
+        return source, start
+
+    def may_leak(self, place: Place) -> bool:
+        """Whether a source may be at a place: not inside a polygon to keep out of, unless `source_inside`."""
+        obstacles = self.ground.obstacles
+        return self.source_inside or obstacles is None or not obstacles.enclose(np.array(place))
+
     def changed(self, **changes: Any) -> "Problem":
         """Return it with other fields. Raises ValueError as a new one does."""
         return msgspec.structs.replace(self, **changes)
@@ -290,6 +410,70 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 def in_area(area: Area, prior: Area | None = None) -> Problem:
     """Return the paper's problem in another area, with a step that fits. Raises ValueError."""
     return Problem(area=area, prior=prior, step_m=min(STEP_M, min(area.size_m) / PARTS))
+
+
+@lru_cache(64)
+def _check_ways(ground: Fenced, starts: Area | Place, expected: Area, sources: Area | Place) -> None:
+    """Raise ValueError if a polygon is none, or polygons leave no start, no source or no way between them."""
+    polygons = {f"keep_out[{number}]": polygon for number, polygon in enumerate(ground.keep_out)}
+    _check_polygons(polygons | ({"keep_in": ground.keep_in} if ground.keep_in else {}))
+    obstacles, begins = ground.obstacles, _grid(starts, 6)
+    begins = begins[obstacles.may_begin(begins)]
+    if not len(begins):
+        raise ValueError(
+            f"start: {_said(starts)} is in keep_out, out of keep_in, within {ground.clearance_m:g} m of a "
+            "side of them, or behind keep_out as seen from home, (0, 0); wanted a place or a rectangle that "
+            "is free, at least in part"
+        )
+    for name, place in (("prior", expected), ("source", sources)):
+        if not ground.source_inside and obstacles.enclose(_grid(place, 64)).all():
+            raise ValueError(
+                f"{name}: {_said(place)} is inside keep_out, where no source is; wanted a place or a "
+                "rectangle outside, at least in part, or source_inside: true"
+            )
+    goals = _grid(expected, 12)
+    goals = goals[obstacles.are_clear(goals)]
+    if len(goals) and not obstacles.join(begins, goals).all():
+        raise ValueError(
+            f"keep_out: it leaves no way from all of the start, {_said(starts)}, to where the source is "
+            f"expected, {_said(expected)}; wanted gaps wider than twice clearance_m, {ground.clearance_m:g} m"
+        )
+
+
+def _check_polygons(polygons: Mapping[str, Corners]) -> None:
+    """Raise ValueError, which names the field, if a polygon is none or there are too many corners."""
+    if sum(map(len, polygons.values())) > MOST_CORNERS:
+        raise ValueError(
+            f"keep_out: {sum(map(len, polygons.values()))} corners are not allowed; wanted up to "
+            f"{MOST_CORNERS} in all, those of keep_in included"
+        )
+    for name, polygon in polygons.items():
+        for corner in polygon:
+            if len(corner) != 2 or not all(-FARTHEST_M <= part <= FARTHEST_M for part in corner):
+                raise ValueError(
+                    f"{name}: the corner {_listed(corner)} is not allowed; wanted (x, y), each from "
+                    f"{-FARTHEST_M:g} to {FARTHEST_M:g} m"
+                )
+        if len(polygon) < 3:
+            raise ValueError(f"{name}: {len(polygon)} corners are not allowed; wanted at least 3")
+        if crossing := crosses_itself(outline(polygon)):
+            sides = " and ".join(str(number + 1) for number in crossing)
+            raise ValueError(f"{name}: its sides {sides} meet; wanted the corners in order around it")
+
+
+def _grid(place: Area | Place, count: int) -> Array:
+    """Return the middles of count x count cells of a rectangle, or the place itself: (N, 2)."""
+    if not isinstance(place, Area):
+        return np.array([place])
+    shares = (np.arange(count) + 0.5) / count
+    (x, y), (width_m, height_m) = place.low, place.size_m
+    return np.array([(x + east * width_m, y + north * height_m) for east in shares for north in shares])
+
+
+def _uniform(rng: np.random.Generator, place: Area | Place) -> Place:
+    low, high = _ends(place)
+    x, y = uniform(rng, np.array(low), np.array(high)).tolist()
+    return x, y
 
 
 def span(value: Span) -> tuple[float, float]:

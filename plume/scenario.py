@@ -99,4 +99,7 @@ def draw(seed: int, problem: "Problem | None" = None) -> Scenario:
     if isinstance(tau, tuple):
         shortest, longest = tau
         tau = shortest + (longest - shortest) * keyed(seed, "lifetime").random()
-    return Scenario(source=(x, y), q=q, u=u, phi=phi, d=d, tau=tau, start=(start_x, start_y))
+    source, start = (x, y), (start_x, start_y)
+    if problem:
+        source, start = problem.allowed(seed, source, start)
+    return Scenario(source=source, q=q, u=u, phi=phi, d=d, tau=tau, start=start)

@@ -55,6 +55,7 @@ PLUME = LinearSegmentedColormap.from_list(
     "plume", ["#ffffff", "#fde3b8", "#fac06c", "#ee8f33", "#b9500f"]
 ).with_extremes(bad="#ffffff")
 INK = "#222222"
+WALL = "#cfcfcf"  # buildings
 # Colours of the beliefs shown, of Okabe and Ito's palette but for the last.
 BELIEFS = ("#56b4e9", "#009e73", "#0072b2", "#cc79a7", "#882255")
 PATH: dict[str, Any] = {"color": INK, "linewidth": 1.2}
@@ -293,6 +294,8 @@ class Drawing:
             linewidth=1,
             zorder=1,
         )
+        for outline in self._backdrop.walls:
+            self.map.fill(*np.array(outline).T, facecolor=WALL, edgecolor=INK, linewidth=0.8, zorder=1)
         self.map.set(aspect="equal", xlabel="east, m", ylabel="north, m")
         bar = self.figure.colorbar(shades, cax=self.figure.add_axes((0.475, MAP[1], 0.014, 0.5)))
         bar.set_label("gas, mean and measured, g/m³" if release else "gas measured, g/m³")

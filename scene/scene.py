@@ -83,7 +83,7 @@ class Backdrop:
     area: Area = AREA  # where the search flies
     title: str = ""  # words for people: the policy, the seed; empty if unknown
     release: Release | None = None  # None: a real flight, or a simulation whose truth is not told
-    walls: tuple[tuple[Point, ...], ...] = ()  # outlines of buildings, as far as they are known
+    walls: tuple[tuple[Point, ...], ...] = ()  # outlines of buildings and keep-outs, as far as known
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from agent.learn.missions import Missions
 from agent.learn.render import RENDERING, Onlooker, Pixels
 from agent.observation import BOUND, SCHEMAS, Observation
-from agent.planning.moves import HeadingAndStep, Headings, Move
+from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
 from estimator.assumptions import ASSUMPTIONS
 from estimator.criterion import FORMS, USUAL_THRESHOLD_M, Criterion, chosen
 from plume.elementary import Array
@@ -185,7 +185,13 @@ class Settings:
 
         Returns rewards, terminated and truncated, (B,) each.
         """
-        missions.move(self.move.waypoints(missions.positions, missions.frames, actions, self.searched.area))
+        ground = self.searched.ground
+        waypoints = self.move.waypoints(missions.positions, missions.frames, actions, ground)
+        if ground.obstacles:
+            reach = Reach(area=ground)
+            ways = zip(missions.positions.tolist(), waypoints.tolist(), strict=True)
+            waypoints = np.array([reach.freed((x, y), (east, north)) for (x, y), (east, north) in ways])
+        missions.move(waypoints)
         step, stop = REWARDS[self.reward]
         terminated: Flags = missions.ceased.copy()
         truncated: Flags = ~terminated & (missions.steps >= self.searched.budget)

@@ -137,7 +137,7 @@ class Missions:
             criterion.threshold_m,
             its_seed,
             *known,
-            self.problem.area,
+            self.problem.ground,
             assume=self._assume,
             within=criterion.within,
             expected=self.problem.prior,

@@ -105,7 +105,7 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
         if self._rounds is None or not self.agents:
             raise ResetNeeded("call reset before step")
         checked = [self.settings.actions(actions[agent])[None] for agent in self.agents]
-        places, area = self._rounds.places, self.settings.searched.area
+        places, area = self._rounds.places, self.settings.searched.ground
 
         def waypoint(vehicle: int, _reach: Shared) -> Place:
             here, frame = np.array([places[vehicle]]), self._frames[vehicle][None]

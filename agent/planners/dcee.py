@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from agent.planning.around import distances
 from agent.planning.moves import Reach
 from agent.planning.predict import cloud, imagine
 from link.bus.messages import Belief, Particles
@@ -17,6 +18,8 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     hypotheses = cloud(belief, particles)
     east, north = (moves[:, axis, None] - hypotheses.places[axis] for axis in (0, 1))  # (A, N)
     squared = east * east + north * north
+    if reach.area.obstacles:
+        squared = np.square(distances(hypotheses, moves, reach.area))
     imagined = imagine(
         belief, hypotheses, moves, reach.measurements, rng, squared[:, None], before=reach.foreseen()
     )

@@ -5,6 +5,7 @@ docs/planners.md compares it with the others.
 
 import numpy as np
 
+from agent.planning.around import distances as distances_of
 from agent.planning.moves import Reach
 from agent.planning.predict import Cloud, cloud, entropy_spread, imagine, lengths
 from link.bus.messages import Belief, Particles
@@ -26,16 +27,16 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     are expected first, as if they flew on: p is worth what it tells beyond them.
     """
     moves = reach.moves(belief.position)
-    places = reach.area.clipped(belief.position + AHEAD * (moves - belief.position))
+    places = reach.ahead(belief.position, moves, AHEAD)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
     before = reach.foreseen(AHEAD)
     imagined = imagine(belief, hypotheses, places, reach.measurements, rng, before=before)
     spread = entropy_spread(hypotheses, belief.spread)
     spreads = spread * exp_each(-imagined.gains / 2).mean(axis=1)
     anyway = spread * float(exp_each(-imagined.gains_before / 2).mean()) if len(before) else spread
-    here = hypotheses.mean(hypotheses.distances(np.array(belief.position)))
+    here = hypotheses.mean(distances_of(hypotheses, np.array(belief.position), reach.area))
     flown = lengths(places - belief.position)
-    distances = hypotheses.distances(places)
+    distances = distances_of(hypotheses, places, reach.area)
     return int(np.argmin(scores(hypotheses, distances, here, spread, spreads, flown, anyway)))
 
 
@@ -55,9 +56,9 @@ def scores(
     anyway: spread expected after the readings of other vehicles, `spread` by default.
 
     D(p) is E‖p − s‖, over the current belief: by the law of total expectation, a reading does not change it
-    on average. Where no place lessens the score by PROGRESS for each metre flown, D(p) is
-    −S log E exp(−‖p − s‖/S) instead: the distance to the nearest part of the belief, and S more for each
-    factor e by which that part is improbable.
+    on average. Distances are those of ways around what is in the way. Where no place lessens the score by
+    PROGRESS for each metre flown, D(p) is −S log E exp(−‖p − s‖/S) instead: the distance to the nearest part
+    of the belief, and S more for each factor e by which that part is improbable.
     """
     result = hypotheses.mean(distances) + WEIGHT * spreads
     now = here + WEIGHT * (spread if anyway is None else anyway)

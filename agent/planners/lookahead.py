@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from agent.planning.around import distances as distances_of
 from agent.planning.moves import Reach
 from agent.planning.predict import cloud, entropy_spread, imagine_along, lengths
 from link.bus.messages import Belief, Particles
@@ -20,11 +21,10 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     p is the best place on the path. The spread is `entropy_spread` after readings at all places up to p.
     """
     moves = reach.moves(belief.position)
-    ahead = np.array(AHEAD)[:, None]
-    paths = reach.area.clipped(belief.position + ahead * (moves - belief.position)[:, None])  # (A, L, 2)
+    paths = reach.ahead(belief.position, moves, np.array(AHEAD))  # (A, L, 2)
     flown = lengths(paths - belief.position)  # (A, L)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
-    distances = hypotheses.mean(hypotheses.distances(paths))  # (A, L)
+    distances = hypotheses.mean(distances_of(hypotheses, paths, reach.area))  # (A, L)
     before = reach.foreseen(AHEAD[0])
     gains = imagine_along(belief, hypotheses, paths, reach.measurements, rng, before=before).gains
     spreads = entropy_spread(hypotheses, belief.spread) * exp_each(-gains / 2).mean(axis=2)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from agent.planning.around import distances as distances_of
 from agent.planning.moves import Reach
 from agent.planning.predict import cloud, imagine, shares_of_cells
 from link.bus.messages import Belief, Particles
@@ -13,12 +14,16 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     """The move with the least expected log₂(D + (2^H − 1)/2) (Loisy and Eloy 2022, eq. 3.4).
 
     D is the expected Manhattan distance from the move to the source, in cells. H is the entropy of the
-    source's cell, in bits: Loisy and Eloy's world is a grid with a cell per step. Both are taken under the
+    source's cell, in bits: Loisy and Eloy's world is a grid with a cell per step. Where something is in the
+    way, D is longer by the way around. Both are taken under the
     belief after a reading there; H is the present entropy less the reading's information gain.
     """
     moves, cell_m = reach.moves(belief.position), reach.step
     hypotheses = cloud(belief, particles)
     distances = np.abs(moves[:, :, None] - hypotheses.places).sum(axis=1) / cell_m  # (A, N)
+    if reach.area.obstacles:
+        detours = distances_of(hypotheses, moves, reach.area) - hypotheses.distances(moves)
+        distances = distances + detours / cell_m
     imagined = imagine(
         belief, hypotheses, moves, reach.measurements, rng, distances[:, None], before=reach.foreseen()
     )

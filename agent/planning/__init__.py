@@ -1,4 +1,4 @@
 """Building blocks of planners: moves, and predictions of future readings.
 
-Imports: plume, plume.sensors, link.bus.
+Imports: plume, plume.polygons, plume.sensors, link.bus.
 """

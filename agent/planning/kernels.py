@@ -12,6 +12,7 @@ from plume.compiled import kernel, subroutine
 from plume.elementary import Array, Indices
 from plume.numerics import HALF_LOG_2PI, direction, erfc, exp, fma, log, log1p, total_of
 from plume.parameters import HITS_KIND, THRESHOLD_KIND
+from plume.polygons.polygons import Flags
 
 # Particles per block; the intermediate arrays of a block stay in the processor's first-level cache.
 BLOCK = 1024
@@ -193,4 +194,113 @@ def displacements(frames: Array, turns: Array, lengths: Array) -> Array:
         ahead, aside = direction(share if share < 1.0 else 0.0)
         along, across = lengths[b] * ahead, mirror * lengths[b] * aside
         result[b, 0], result[b, 1] = cosine * along - sine * across, sine * along + cosine * across
+    return result
+
+
+@subroutine
+def _square_from(x: float, y: float, x_1: float, y_1: float, x_2: float, y_2: float) -> float:
+    """Squared distance of a place from the line between two others, m²."""
+    along_x, along_y, off_x, off_y = x_2 - x_1, y_2 - y_1, x - x_1, y - y_1
+    square = along_x * along_x + along_y * along_y
+    share = min(max((off_x * along_x + off_y * along_y) / square, 0.0), 1.0) if square > 0.0 else 0.0
+    left_x, left_y = off_x - share * along_x, off_y - share * along_y
+    return float(left_x * left_x + left_y * left_y)
+
+
+@subroutine
+def _is_open(
+    x: float, y: float, goal_x: float, goal_y: float, sides: Array, clearance_m: float, near: Flags
+) -> bool:
+    """True if a straight way crosses no side and is stays clear of those that are not `near` (S,)."""
+    low_x, high_x = min(x, goal_x) - clearance_m, max(x, goal_x) + clearance_m
+    low_y, high_y = min(y, goal_y) - clearance_m, max(y, goal_y) + clearance_m
+    east, north, least = goal_x - x, goal_y - y, clearance_m * clearance_m
+    for s in range(len(sides)):
+        x_1, y_1, x_2, y_2 = sides[s]
+        if max(x_1, x_2) < low_x or min(x_1, x_2) > high_x or max(y_1, y_2) < low_y or min(y_1, y_2) > high_y:
+            continue
+        one = east * (y_1 - y) - north * (x_1 - x)
+        other = east * (y_2 - y) - north * (x_2 - x)
+        if (one < 0.0) != (other < 0.0):
+            from_place = (x_2 - x_1) * (y - y_1) - (y_2 - y_1) * (x - x_1)
+            from_goal = (x_2 - x_1) * (goal_y - y_1) - (y_2 - y_1) * (goal_x - x_1)
+            if (from_place < 0.0) != (from_goal < 0.0):
+                return False
+        if not near[s] and (
+            _square_from(x_1, y_1, x, y, goal_x, goal_y) <= least
+            or _square_from(x_2, y_2, x, y, goal_x, goal_y) <= least
+            or _square_from(x, y, x_1, y_1, x_2, y_2) <= least
+            or _square_from(goal_x, goal_y, x_1, y_1, x_2, y_2) <= least
+        ):
+            return False
+    return True
+
+
+@subroutine
+def _to_corners(places: Array, sides: Array, corners: Array, between: Array, clearance_m: float) -> Array:
+    """Lengths (A, C) m of the shortest ways from places (A, 2) to corners; infinite if there is none."""
+    result, first = np.empty((len(places), len(corners))), np.empty(len(corners))
+    nowhere = np.zeros(len(sides), np.bool_)
+    for a in range(len(places)):
+        x, y = places[a]
+        for c in range(len(corners)):
+            east, north = corners[c, 0] - x, corners[c, 1] - y
+            seen = _is_open(x, y, corners[c, 0], corners[c, 1], sides, clearance_m, nowhere)
+            first[c] = math.sqrt(east * east + north * north) if seen else np.inf
+        for c in range(len(corners)):
+            result[a, c] = np.inf
+            for by in range(len(corners)):
+                result[a, c] = min(result[a, c], first[by] + between[by, c])
+    return result
+
+
+@kernel(
+    "float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], int64[::1], float64[:, ::1], "
+    "float64[:, ::1], float64)",
+    nogil=True,
+)
+def shortest_ways(
+    places: Array,
+    goals: Array,
+    sides: Array,
+    owners: Indices,
+    corners: Array,
+    between: Array,
+    clearance_m: float,
+) -> Array:
+    """Lengths (A, N) m of the shortest ways from places (A, 2) to goals (2, N), straight or by corners.
+
+    sides: (S, 4), x and y of both ends, by polygon; owners: (S,) the first side of each one's polygon.
+    corners: (C, 2).  between: (C, C) m, lengths of ways between them. A way stays further than the clearance
+    from polygons; if the goal does not, its last leg crosses no side. Without any way it is the straight
+    distance.
+    """
+    result, near = np.empty((len(places), goals.shape[1])), np.empty(len(sides), np.bool_)
+    to_corners = _to_corners(places, sides, corners, between, clearance_m)
+    last = np.empty(len(corners))  # m of the leg from each corner; below 0: not known yet
+    for n in range(goals.shape[1]):
+        goal_x, goal_y = goals[0, n], goals[1, n]
+        near[:] = False
+        for s in range(len(sides)):
+            x_1, y_1, x_2, y_2 = sides[s]
+            if _square_from(goal_x, goal_y, x_1, y_1, x_2, y_2) <= clearance_m * clearance_m:
+                near[owners[s]] = True
+        for s in range(len(sides)):
+            near[s] = near[owners[s]]
+        last[:] = -1.0
+        for a in range(len(places)):
+            x, y = places[a]
+            east, north = goal_x - x, goal_y - y
+            direct = math.sqrt(east * east + north * north)
+            best = direct if _is_open(x, y, goal_x, goal_y, sides, clearance_m, near) else np.inf
+            for c in range(len(corners) if best == np.inf else 0):
+                if to_corners[a, c] >= best:
+                    continue
+                if last[c] < 0.0:
+                    x, y = corners[c]
+                    east, north = goal_x - x, goal_y - y
+                    seen = _is_open(x, y, goal_x, goal_y, sides, clearance_m, near)
+                    last[c] = math.sqrt(east * east + north * north) if seen else np.inf
+                best = min(best, to_corners[a, c] + last[c])
+            result[a, n] = best if best < np.inf else direct
     return result

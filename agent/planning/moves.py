@@ -5,12 +5,16 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from link.bus.messages import Belief
 from plume.elementary import Array, direction
 from plume.problem import AREA, Area
 from plume.scenario import STEP_M
 
+# A way that is not free is turned by these parts of a full turn, one after the other.
+TURNS = tuple(sign * k / 16 for k in range(1, 8) for sign in (1, -1))
+PARTS = (1.0, 0.5, 0.25, 0.125)  # of a way that meets an obstacle: the longest that is free is flown
 # The step of Table 1 as a part of its area's side, short enough for any search, and the shortest move.
 FINE, FINEST = 1 / 30, 1 / 300
 
@@ -44,9 +48,61 @@ class Reach:
         return self.area.on_the_wire()
 
     def moves(self, position: tuple[float, float]) -> Array:
-        """Return the waypoints (A, 2) m that one step reaches in the area; float32 values, as on the wire."""
+        """Return the waypoints (A, 2) m that one step reaches in the area; float32 values, as on the wire.
+
+        Where an obstacle is in the way, a step is as short as of PARTS; without any free way, the waypoint is
+        the place itself.
+        """
+        if self.area.obstacles:
+            return self._moves_between(position)
         places = (np.asarray(position) + self.step * self.directions).astype(np.float32).astype(np.float64)
         return np.asarray(places[self.area.held(places)])
+
+    def _moves_between(self, position: tuple[float, float]) -> Array:
+        steps = self.step * np.array(PARTS)[:, None, None] * self.directions  # (P, A, 2)
+        places = (np.asarray(position) + steps).astype(np.float32).astype(np.float64)
+        free = self.area.held(places) & self._are_clear(position, places)
+        longest = free.argmax(axis=0), np.arange(self.headings)
+        moves = places[longest][free[longest]]
+        return moves if len(moves) else np.array([position], np.float64)
+
+    def _are_clear(self, position: tuple[float, float], places: Array) -> NDArray[np.bool_]:
+        """Whether no obstacle is in the ways from a position to places (..., 2) m: (...)."""
+        if not (obstacles := self.area.obstacles):
+            return np.ones(places.shape[:-1], bool)
+        return obstacles.are_free(ways_from(position, places))
+
+    def are_free(self, position: tuple[float, float], places: Array) -> NDArray[np.bool_]:
+        """Whether the ways from a position to places (A, 2) m may be flown: (A,)."""
+        return self._are_clear(position, places)
+
+    def freed(self, position: tuple[float, float], place: tuple[float, float]) -> tuple[float, float]:
+        """Return the place if the way there is free, else one as far to the side, else the position.
+
+        Between obstacles, ways of PARTS of the length are tried, too.
+        """
+        if self.are_free(position, np.array([place], np.float64)).all():
+            return place
+        east, north = place[0] - position[0], place[1] - position[1]
+        cosines, sines = direction(np.array([0.0, *TURNS]))
+        turned = np.stack([cosines * east - sines * north, sines * east + cosines * north], axis=1)
+        ways = np.concatenate([part * turned for part in (PARTS if self.area.obstacles else PARTS[:1])])
+        places = self.wire.clipped(position + ways).astype(np.float32).astype(np.float64)
+        free = places[self.are_free(position, places)]
+        x, y = free[0].tolist() if len(free) else position
+        return x, y
+
+    def ahead(self, position: tuple[float, float], moves: Array, steps: Array | float) -> Array:
+        """Return the places that moves (A, 2) m would reach if they were so many times as long: (A, …, 2).
+
+        They are in the area; where an obstacle is in the way, they are the moves' ends.
+        """
+        on = (moves - position).reshape(-1, *[1] * np.ndim(steps), 2)
+        places = self.area.clipped(position + np.asarray(steps)[..., None] * on)
+        if self.area.obstacles:
+            ends = np.broadcast_to(np.asarray(position) + on, places.shape)
+            places = np.where(self._are_clear(position, places)[..., None], places, ends)
+        return places
 
     def foreseen(self, _steps: float = 1.0) -> Array:
         """Return where other vehicles take readings before this one, (F, 2) m: there are none."""
@@ -56,6 +112,11 @@ class Reach:
     def directions(self) -> Array:
         """Unit vectors (A, 2) of the headings."""
         return np.stack(direction(np.arange(self.headings) / self.headings), axis=1)
+
+
+def ways_from(position: tuple[float, float], places: Array) -> Array:
+    """Return the straight ways from a position to places (..., 2) m: (..., 2, 2)."""
+    return np.stack(np.broadcast_arrays(np.asarray(position, np.float64), places), axis=-2)
 
 
 class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", forbid_unknown_fields=True):

@@ -11,6 +11,7 @@ from agent.planning.apart import SEPARATION_M
 from agent.together import Place, seed_of
 from link import cli
 from plume.elementary import Array
+from plume.polygons.obstacles import Obstacles
 from plume.problem import AREA, Area, Problem
 from plume.randomness import keyed, uniform
 
@@ -22,6 +23,7 @@ FORMATIONS = {
 }
 START_SIDE = 1 / 6  # of the rectangle in which a start is drawn, as a part of the area's sides: Table 1
 PADS = 1.1  # distance of pads beside each other, in separations
+MOST_PADS = 20  # a start that is not free is moved by so many of them at most, along x and y
 # Where vehicles start from different corners, as shares of the way across; the first is Table 1's.
 CORNERS = ((0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.0), (0.5, 1.0), (0.0, 0.5), (1.0, 0.5))
 
@@ -77,6 +79,8 @@ class Fleet:
         start: where a vehicle alone would. One alone starts there from a point and from corners.
         """
         places = np.array(_drawn(self, start, seed, area), np.float32).astype(np.float64)
+        if self.vehicles > 1 and area.obstacles:
+            places = _moved_off(places, self.separation_m, area, area.obstacles)
         return [(x, y) for x, y in places.tolist()]
 
 
@@ -134,6 +138,27 @@ def _beside(start: Place, pad_m: float, count: int, area: Area) -> list[Place]:
     nearest = sorted(product(reach, reach), key=lambda pads: pads[0] * pads[0] + pads[1] * pads[1])
     grid = [(start[0] + pad_m * i, start[1] + pad_m * j) for i, j in nearest]
     return [place for place in grid if area.holds(place)][:count]
+
+
+def _moved_off(places: Array, separation_m: float, area: Area, obstacles: Obstacles) -> Array:
+    """Return starts (V, 2) m, those in the way of obstacles or of one before moved to the nearest place that
+    is free.
+
+    Raises ValueError if there is none within MOST_PADS separations.
+    """
+    pads = np.arange(-MOST_PADS, MOST_PADS + 1) * max(PADS * separation_m, 1.0)
+    grid = np.stack(np.meshgrid(pads, pads, indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = grid[np.argsort(np.square(grid).sum(axis=1), kind="stable")]
+    moved: list[Array] = []
+    for place in places:
+        near = (place + grid).astype(np.float32).astype(np.float64)
+        free = area.held(near) & obstacles.are_clear(near)
+        for other in moved:
+            free &= np.square(near - other).sum(axis=1) >= separation_m * separation_m
+        if not free.any():
+            raise ValueError(f"keep_out: it leaves no room for {len(places)} vehicles to start")
+        moved.append(near[free.argmax()])
+    return np.array(moved)
 
 
 def _in_corner(share: Array, corner: Array) -> Array:

@@ -88,7 +88,7 @@ def prepared(
         told.q,
         told.d,
         told.tau,
-        problem.area,
+        problem.ground,
         expected=problem.prior,
         **{"sensor": sensor_of(problem), **knowledge},
     )

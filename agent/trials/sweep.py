@@ -121,7 +121,7 @@ def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
     """The information floor of a mission at each ζ, m, where docs/floor.md defines it."""
     config = ready.config
     as_defined = config.sensor == GAUSSIAN and sweep.moves.get("step", sweep.problem.step_m) == STEP_M
-    as_defined &= sweep.problem.area == AREA and not sweep.problem.prior and sweep.fleet == ALONE
+    as_defined &= sweep.problem.ground == AREA and not sweep.problem.prior and sweep.fleet == ALONE
     if not as_defined or config.effective_priors or config.stop_limits:
         return {}
     thresholds_m = [stop.threshold_m for stop in sweep.stops if not stop.within]
@@ -273,7 +273,7 @@ def fly_all(
 
 def complete(sweep: Sweep, rows: Iterable[MissionRow]) -> dict[Flight, list[MissionRow]]:
     """Return the flights of a sweep that rows tell in full: flown in its way, with all its criteria."""
-    searched: dict[str, Any] = {"area": sweep.problem.area, "expected": sweep.problem.prior}
+    searched: dict[str, Any] = {"area": sweep.problem.ground, "expected": sweep.problem.prior}
     config, wanted = (
         Config(**searched, **{"sensor": sensor_of(sweep.problem), **sweep.knowledge}),
         [stop.text for stop in sweep.stops],

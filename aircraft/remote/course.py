@@ -70,7 +70,7 @@ class Course:
         around it the vehicle comes to rest.
         """
         wanted = as_float32(wanted)
-        if outside := self._config.outside(wanted):
+        if outside := self._config.outside(wanted) or self._config.in_the_way(self._known.place, wanted):
             return denied(f"Waypoint refused: {outside[1]}", outside[0])
         inset_m = RADIUS_M + INSIDE_M
         area = self._config.area

@@ -61,10 +61,14 @@ class Model(NamedTuple):
     priors: Array  # (15, 5): kind, two numbers, and the support's ends of each parameter
     sensor: Array  # (SENSOR_NUMBERS,): kind and numbers
     spikes: Array  # (1,): share of the readings that say nothing of the source
+    walls: (
+        Array  # (W, 4): x and y of both ends of the sides of polygons in which it is not, as `Config.walls`
+    )
 
 
 tuple_type: Any = numba.types.NamedTuple
-MODEL = tuple_type((numba.int64[::1], numba.float64[:, ::1], numba.float64[::1], numba.float64[::1]), Model)
+ROW, TABLE, STACK = numba.float64[::1], numba.float64[:, ::1], numba.float64[:, :, ::1]
+MODEL = tuple_type((numba.int64[::1], TABLE, ROW, ROW, TABLE), Model)
 
 
 @subroutine

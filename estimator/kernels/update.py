@@ -7,7 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.kernels.checks import predictive_rank
-from estimator.kernels.densities import MODEL, Model, derived_of, reading_densities, tuple_type
+from estimator.kernels.densities import (
+    MODEL,
+    ROW,
+    STACK,
+    TABLE,
+    Model,
+    derived_of,
+    reading_densities,
+    tuple_type,
+)
 from estimator.kernels.moves import move
 from estimator.kernels.weights import systematic, tempered_share
 from plume.compiled import kernel, subroutine
@@ -30,10 +39,9 @@ class WeightedSample(NamedTuple):
     log_targets: Array  # (N,) log posterior density given all readings so far, up to a constant
 
 
-ROW, TABLE, STACK = numba.float64[::1], numba.float64[:, ::1], numba.float64[:, :, ::1]
 SAMPLE = tuple_type((TABLE, ROW, ROW, ROW), WeightedSample)
 SAMPLES = tuple_type((STACK, TABLE, TABLE, TABLE), WeightedSample)
-MODELS = tuple_type((numba.int64[::1], STACK, TABLE, TABLE), Model)
+MODELS = tuple_type((numba.int64[::1], STACK, TABLE, TABLE, STACK), Model)
 
 
 @subroutine
@@ -117,8 +125,8 @@ def update_missions(
     Arrays are as in `update`, stacked, but for the unknowns, which all share.
     """
     particles, log_weights, weights, log_targets = samples
-    unknowns, priors, sensors, spikes = models
+    unknowns, priors, sensors, spikes, walls = models
     for b in missions:
         sample = WeightedSample(particles[b], log_weights[b], weights[b], log_targets[b])
-        model, count = Model(unknowns, priors[b], sensors[b], spikes[b]), counts[b]
+        model, count = Model(unknowns, priors[b], sensors[b], spikes[b], walls[b]), counts[b]
         ranks[b, count - 1] = update(sample, readings[b, :count], model, seeds[b], sweeps)

@@ -1,4 +1,4 @@
 """Problems by name, from files and from text.
 
-Imports: plume, plume.sensors, plume.worlds.
+Imports: plume, plume.polygons, plume.sensors, plume.worlds.
 """

@@ -14,6 +14,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from plume.problem import PAPER, Problem
+from plume.problems import fences
 from plume.scenario import AS_MODELLED
 from plume.sensors import names as sensors
 from plume.sensors.names import Sensor
@@ -21,10 +22,10 @@ from plume.sensors.names import Sensor
 PROBLEMS = {"paper": PAPER}
 # What the flag --problem means.
 ABOUT = (
-    "what is searched, where and from what knowledge: paper, or a YAML file of area, step_m, prior and so "
-    "on; other flags override its fields"
+    "what is searched, where and from what knowledge: paper, a YAML file of area, step_m, prior and so on, "
+    "or a fence, FILE.kml, .geojson or .plan; other flags override its fields"
 )
-FORMS = "paper, a YAML file, or a JSON object of its fields"
+FORMS = "paper, a YAML file, a fence (.kml, .geojson, .plan), or a JSON object of its fields"
 MOST_BYTES = 100_000
 FIELDS = get_type_hints(Problem, include_extras=True)
 
@@ -60,6 +61,7 @@ def _of(text: str) -> Problem:
 def of_file(name: str) -> Problem:
     """Return the problem of a YAML file. Raises ValueError."""
     path = Path(name)
+    kind = path.suffix.lower()
     if not os.path.lexists(path) and re.fullmatch(r"[\w-]+", name):
         near = difflib.get_close_matches(name, PROBLEMS, 1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}? Wanted" if near else "wanted"
@@ -68,9 +70,14 @@ def of_file(name: str) -> Problem:
         with open(path, "rb", opener=lambda file, flags: os.open(file, flags | os.O_NONBLOCK)) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise ValueError(f"{name}: a pipe or a device is not allowed; wanted a file")
-            content = file.read(MOST_BYTES + 1)
+            content = file.read((fences.MOST_BYTES if kind in fences.READERS else MOST_BYTES) + 1)
     except OSError as error:
         raise ValueError(f"{name}: {error.strerror}; wanted {FORMS}") from None
+    if kind in fences.READERS:
+        try:
+            return named(fences.problem_of(content, kind))
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
     if len(content) > MOST_BYTES:
         raise ValueError(f"{name}: more than {MOST_BYTES:,} bytes are not allowed")
     try:

@@ -12,6 +12,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from plume.elementary import Array
+from plume.polygons import polygons
+from plume.polygons.polygons import crosses_itself
 
 ALTITUDE_M = 5.0  # height of the search plane above the ground, where a file does not say it
 MOST_BYTES = 100_000
@@ -117,42 +119,4 @@ def _check(found: Buildings) -> None:
 
 def outline(building: Building) -> Array:
     """Return the corners (K, 2) of a footprint, each once: the first one may be repeated at the end."""
-    corners = building.footprint
-    return np.array(corners[:-1] if corners[0] == corners[-1] else corners, np.float64)
-
-
-def crosses_itself(corners: Array) -> tuple[int, int] | None:
-    """Return the numbers of two sides that meet other than at the corner between them; None if none do.
-
-    corners: (K, 2).  Side k goes from corner k to the next one.
-    """
-    count = len(corners)
-    ends = np.roll(corners, -1, axis=0)
-    if count < 3:
-        return 0, count - 1
-    for k in range(count):
-        if (corners[k] == ends[k]).all():
-            return k, (k + 1) % count
-        for other in range(k + 1, count):
-            if other in (k + 1, k + count - 1):  # neighbours: is one folded back over the other?
-                first, second = (k, other) if other == k + 1 else (other, k)
-                there, back = ends[first] - corners[first], ends[second] - corners[second]
-                if _cross(there, back) == 0 and (there * back).sum() < 0:
-                    return k, other
-            elif _meet(corners[k], ends[k], corners[other], ends[other]):
-                return k, other
-    return None
-
-
-def _cross(one: Array, other: Array) -> float:
-    return float(one[0] * other[1] - one[1] * other[0])
-
-
-def _meet(a: Array, b: Array, c: Array, d: Array) -> bool:
-    """Return whether the segments a–b and c–d share a point."""
-    if (np.maximum(a, b) < np.minimum(c, d)).any() or (np.maximum(c, d) < np.minimum(a, b)).any():
-        return False
-    ab, cd = b - a, d - c
-    return (
-        _cross(ab, c - a) * _cross(ab, d - a) <= 0 and _cross(cd, a - c) * _cross(cd, b - c) <= 0
-    )  # each segment's ends are not on one side of the other; in one line, the boxes have decided
+    return polygons.outline(building.footprint)

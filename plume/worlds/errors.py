@@ -79,7 +79,7 @@ def outside(seed: int, problem: Problem = PAPER) -> tuple[float, float]:
     rng, area, sources = keyed(seed, "source outside"), problem.area, problem.sources
     for _ in range(MOST_DRAWS):
         x, y = uniform(rng, np.array(area.low), np.array(area.high)).tolist()
-        if not (isinstance(sources, Area) and sources.holds((x, y))):
+        if not (isinstance(sources, Area) and sources.holds((x, y))) and problem.may_leak((x, y)):
             return x, y
     raise ValueError("source-outside is not for a problem whose sources are drawn from the whole area")
 
@@ -108,7 +108,7 @@ def second(seed: int, problem: Problem = PAPER) -> tuple[float, float]:
     first, rng, area = draw(seed, problem).source, keyed(seed, "second source"), problem.area
     for _ in range(MOST_DRAWS):
         x, y = uniform(rng, np.array(area.low), np.array(area.high)).tolist()
-        if area.side_m / 6 <= math.dist((x, y), first) <= area.side_m / 2:
+        if area.side_m / 6 <= math.dist((x, y), first) <= area.side_m / 2 and problem.may_leak((x, y)):
             return x, y
     raise ValueError("two-sources is not for a problem whose source is drawn far from its area")
 

@@ -42,13 +42,13 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
     release = None
     with suppress(KeyError, msgspec.ValidationError):
         release = Release.of(msgspec.convert(about["scenario"], Scenario))
-    policy, budget = about.get("policy"), about.get("budget")
+    policy, budget, problem = about.get("policy"), about.get("budget"), problem_of(about)
     backdrop = Backdrop(
         vehicle or str(about.get("namespace", "vehicle")),
         title=f"{policy}, seed {about.get('seed')}" if policy is not None else "",
         release=release,
-        area=problem_of(about).area,
-        walls=_walls(about),
+        area=problem.area,
+        walls=(*_walls(about), *problem.keep_out),
     )
     return backdrop, budget if isinstance(budget, int) else None
 

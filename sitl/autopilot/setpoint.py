@@ -49,13 +49,13 @@ class Setpoint(NamedTuple):
         """True if both ask for the same motion; the yaw may differ."""
         return other is not None and self[:4] == other[:4]
 
-    def refusal(self, config: VehicleConfig) -> Result | None:
-        """Return why it cannot be flown, if so."""
+    def refusal(self, config: VehicleConfig, here: Ned) -> Result | None:
+        """Return why it cannot be flown from a position, if so."""
         for name, angle in (("yaw", self.yaw_rad), ("yaw rate", self.yaw_rate_radps)):
             if angle is not None and not math.isfinite(angle):
                 return denied(f"Waypoint refused: {name} {angle} is not finite", "not finite")
         if self.position is not None:
-            outside = config.outside(self.position)
+            outside = config.outside(self.position) or config.in_the_way(here, self.position)
             return outside and denied(f"Waypoint refused: {outside[1]}", outside[0])
         for name, vector in (("velocity", self.velocity), ("acceleration", self.acceleration)):
             if vector is not None and not all(map(math.isfinite, vector)):
@@ -106,7 +106,7 @@ def _not_whole(m: Message, config: VehicleConfig) -> Result:
     """Refuse a setpoint that PX4 does not take, or that is not flown here; a NaN may be why."""
     place = (m.x, m.y, m.z) if m.get_type() == LOCAL else (m.lat_int, m.lon_int, m.alt)
     if not m.type_mask & 0b111 and any(map(math.isnan, place)):
-        return Setpoint(place).refusal(config) or NOT_WHOLE
+        return Setpoint(place).refusal(config, place) or NOT_WHOLE
     return NOT_WHOLE
 
 

@@ -329,7 +329,9 @@ class Vehicle:
             return not_now(f"Go-to refused: {EMPTY if self.armed else 'disarmed'}")
         if self._on_ground:
             return not_now("Go-to refused: on the ground")
-        if outside := self.config.outside(position):
+        if outside := self.config.outside(position) or self.config.in_the_way(
+            self._motion.position, position
+        ):
             return denied(f"Go-to refused: {outside[1]}")
         self.mode, self._failsafe = Mode.HOLD, False
         self._go(position)
@@ -363,7 +365,7 @@ class Vehicle:
         """
         self.catch_up(t_s)
         setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted), yaw_rad=yaw_rad)
-        if refusal := setpoint.refusal(self.config):
+        if refusal := setpoint.refusal(self.config, self._motion.position):
             return refusal
         new = answers or not setpoint.same_way(self.companion.setpoint)
         self.companion.hear(setpoint, self.now_s)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
 from aircraft.search.events import Count, OnBoard, Radians, ScriptEvent, Wind, WindSpeed
@@ -295,7 +296,7 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         del fields["after_stop"], fields["strict"]
         factor = self.speedup or 1.0
         fields["silence_s"] *= factor
-        fields["area"] = self.problem.area
+        fields["area"] = self.problem.ground
         return VehicleConfig(
             sysid=sysid, stream_s=STREAM_S * factor if self.vehicle.strict else math.inf, **fields
         )
@@ -459,11 +460,17 @@ def _at(script: Script, name: str) -> Any:
 
 def check_places(document: Document, script: Script) -> None:
     """Refuse places that are not in the problem's area. Raises BadInput."""
-    area = script.problem.area
+    area, obstacles = script.problem.area, script.problem.ground.obstacles
     start, source = script.scenario.start, script.scenario.source
     if start and not area.holds(start):
         raise document.error(
             ["scenario", "start"], f"{list(start)} is not allowed; wanted (x, y) m in {area.text}"
+        )
+    if start and obstacles and not obstacles.may_begin(np.array(start)):
+        raise document.error(
+            ["scenario", "start"],
+            f"{list(start)} is not allowed; wanted (x, y) m clear of the problem's keep_out, as is the line "
+            "from home",
         )
     (width_m, height_m), (x, y) = area.size_m, source or area.low
     if not (abs(x - area.low[0] - width_m / 2) <= 1.5 * width_m) or not (
@@ -476,9 +483,16 @@ def check_places(document: Document, script: Script) -> None:
     for number, event in enumerate(script.events):
         if not isinstance(event, Waypoints | Lawnmower):
             continue
+        before = None
         for at, place in enumerate(event.path()):
+            field = ["points", at] if isinstance(event, Waypoints) else ["high"]
+            if obstacles and obstacles.cross(np.array([before or place, place])):
+                raise document.error(
+                    ["events", number, *field],
+                    f"the way to {list(place)} is not allowed; wanted ways that cross no keep_out",
+                )
+            before = place
             if not area.holds(place):
-                field = ["points", at] if isinstance(event, Waypoints) else ["high"]
                 raise document.error(
                     ["events", number, *field],
                     f"{list(place)} is not allowed; wanted places in the area, {area.text}",

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from plume.problem import AREA, PAPER, Area, Problem, square
+from plume.problems.names import named
 from plume.scenario import draw
 
 WIDE = Area((-50.0, 0.0), (150.0, 80.0))
@@ -93,3 +94,79 @@ def test_what_goes_on_the_wire_stays_in_the_area() -> None:
 def test_the_side_of_a_square_is_exact() -> None:
     sides = [0.1 * number for number in range(11, 3000, 7)]
     assert [square(side).side_m for side in sides] == sides
+
+
+HOUSES = (
+    ((8.0, 8.0), (12.0, 8.0), (12.0, 12.0), (8.0, 12.0)),
+    ((18.0, 15.0), (24.0, 15.0), (24.0, 21.0), (18.0, 21.0)),
+)
+
+
+def test_sources_and_starts_are_never_drawn_in_a_polygon_to_keep_out_of() -> None:
+    hut = ((1.0, 1.0), (3.0, 1.0), (3.0, 3.0), (1.0, 3.0))
+    usual, problem = Problem(), Problem(keep_out=(*HOUSES, hut), clearance_m=0.5)
+    moved = 0
+    for seed in range(400):
+        was, drawn = draw(seed, usual), draw(seed, problem)
+        assert not (18 < drawn.source[0] < 24 and 15 < drawn.source[1] < 21)
+        off = [max(1 - along, 0.0, along - 3) for along in drawn.start]
+        assert math.dist(off, (0, 0)) >= 0.5
+        assert all(0 <= part <= 5 for part in drawn.start)
+        assert (drawn.q, drawn.u, drawn.phi, drawn.d) == (was.q, was.u, was.phi, was.d)
+        moved += drawn.source != was.source
+        if not ((18 < was.source[0] < 24 and 15 < was.source[1] < 21) or 8 < max(was.source) < 12):
+            assert drawn.source == was.source  # a seed whose source is free keeps it
+        assert draw(seed, problem) == drawn
+    assert moved > 20
+    told = Problem(keep_out=HOUSES, source_inside=True)
+    assert all(draw(seed, told).source == draw(seed).source for seed in range(100))
+
+
+def test_polygons_are_told_in_text_and_to_services_without_the_source() -> None:
+    problem = Problem(keep_out=[[[8, 8], [12, 8], [12, 12]]], clearance_m=1, source=(20.0, 20.0))  # type: ignore[list-item]
+    assert named(problem.text) == problem
+    assert named(problem.told.text).ground == problem.ground
+    assert "20.0" not in problem.told.text.replace("30.0", "")
+    assert Problem().text == "paper"
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"keep_out": [[(5, 5), (9, 9)]]}, r"keep_out\[0\]: 2 corners are not allowed; wanted at least 3"),
+        (
+            {"keep_out": [[(9, 9), (12, 12), (12, 9), (9, 12)]]},
+            r"keep_out\[0\]: its sides 1 and 3 meet; wanted the corners in order",
+        ),
+        (
+            {"keep_out": [[(math.nan, 0), (9, 9), (9, 0)]]},
+            r"keep_out\[0\]: the corner \[nan, 0\] is not allowed",
+        ),
+        ({"keep_in": [(0, 0), (30, 0)]}, "keep_in: 2 corners are not allowed"),
+        (
+            {"keep_out": [[(k, k * k) for k in range(201)]]},
+            "keep_out: 201 corners are not allowed; wanted up to 200",
+        ),
+        ({"keep_out": HOUSES, "clearance_m": -1.0}, "clearance_m: -1.0 is not allowed; wanted 0 to 1000 m"),
+        (
+            {"keep_out": HOUSES, "start": (10.0, 10.0)},
+            r"start: \[10, 10\] is in keep_out, out of keep_in, within",
+        ),
+        ({"keep_out": HOUSES, "start": (7.0, 7.0)}, r"start: \[7, 7\] is in keep_out, .* within 2 m of a"),
+        (
+            {"keep_out": HOUSES, "prior": Area((19.0, 16.0), (23.0, 20.0))},
+            r"prior: \[19, 23\] x \[16, 20\] m is inside keep_out, where no source is; wanted",
+        ),
+        ({"keep_out": HOUSES, "source": (20.0, 20.0)}, r"source: \[20, 20\] is inside keep_out"),
+        (
+            {"keep_out": [[(-1, 6), (31, 6), (31, 7), (-1, 7)]], "prior": Area((0, 10), (30, 30))},
+            "keep_out: it leaves no way from all of the start, .*, to where the source is expected",
+        ),
+    ],
+)
+def test_polygons_that_are_none_or_leave_no_search_are_refused_in_one_line(
+    fields: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ValueError, match=said) as refusal:
+        Problem(**fields)
+    assert "\n" not in str(refusal.value)

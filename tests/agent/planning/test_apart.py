@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from agent.planning.apart import Shared, gaps
+from agent.planning.apart import Shared
 from agent.planning.moves import Reach
+from plume.polygons.polygons import gaps
 
 
 def sampled_gap(way: np.ndarray, other: np.ndarray) -> float:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from aircraft.state import Arrived, Said
 from link.modes import Mode
+from plume.problem import Problem
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.motion import GRAVITY_MPS2
 from sitl.autopilot.setpoint import Setpoint
@@ -635,3 +636,16 @@ def test_left_alone_it_comes_to_rest_and_never_below_the_ground(script):
     assert all(state.position[2] <= 0.0 for state in states)
     assert not states[-1].armed  # the battery has run out by then
     assert states[-1].velocity == (0.0, 0.0, 0.0)
+
+
+def test_a_way_through_a_building_is_refused_and_one_beside_it_is_flown():
+    """The vehicle hovers above home."""
+    house = ((4.0, 0.0), (6.0, 0.0), (6.0, 3.0), (4.0, 3.0))
+    ground = Problem(keep_out=(house,), clearance_m=1.0).ground
+    vehicle = offboard(VehicleConfig(area=ground))
+    refused = vehicle.setpoint(10.0, (1.0, 10.0, -5.0))
+    assert refused[0] == DENIED
+    assert refused[1].endswith("crosses a polygon of keep_out")
+    assert refused[2] == "keep-out"
+    assert vehicle.go_to(10.0, (1.0, 10.0, -5.0)).reason.startswith("Go-to refused: the way to")
+    assert vehicle.setpoint(10.0, (8.0, 10.0, -5.0)).accepted

@@ -8,6 +8,7 @@ import pytest
 from link import cli
 from link.cli import BadInput
 from plume.problem import PAPER, Area, Problem
+from plume.problems.names import named
 from plume.scenario import draw
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
 from sitl.script.options import add_mission_arguments, script_of
@@ -109,3 +110,39 @@ def test_the_services_are_told_area_and_prior_and_nothing_of_the_source(tmp_path
         assert "44.25" not in " ".join(words)
         assert "wind-30" not in " ".join(words)
     assert "--problem" not in estimator_arguments(Launch(script=Script()))
+
+
+KEPT_OUT = """
+problem:
+  keep_out:
+    - [[8, 8], [14, 8], [14, 14], [8, 14]]
+  clearance_m: 1
+"""
+
+
+def test_a_script_tells_its_vehicle_and_both_services_what_is_kept_out_of(tmp_path: Path) -> None:
+    script = load(written(tmp_path, KEPT_OUT))
+    ground = script.problem.ground
+    assert ground.obstacles
+    assert script.vehicle_config(1).area == ground
+    launch = Launch(script=script, uav_arguments=(), record=tmp_path / "record.mcap")
+    for arguments in (agent_arguments(launch), estimator_arguments(launch)):
+        assert named(arguments[arguments.index("--problem") + 1]).ground == ground
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("scenario: {start: [7.5, 7.5]}", "scenario.start: .7.5, 7.5. is not allowed; wanted .* clear of"),
+        ("scenario: {start: [20, 20]}", "scenario.start: .20.0, 20.0. is not allowed; wanted .* clear of"),
+        (
+            "events: [{do: waypoints, step: 0, points: [[4, 11], [20, 11]]}]",
+            r"events\[0\].points\[1\]: the way to \[20.0, 11.0\] is not allowed; wanted ways that cross no keep_out",
+        ),
+    ],
+)
+def test_a_script_may_not_send_its_vehicle_through_what_is_kept_out_of(
+    more: str, said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(BadInput, match=said):
+        load(written(tmp_path, KEPT_OUT + more))

@@ -1,0 +1,210 @@
+"""Protects fences from files: their metres are those worked out by hand, and what is wrong is said in one line.
+
+At 60° north a thousandth of a degree is 111.195 m of latitude (π · 6,371,000 m / 180,000) and half of that, 55.597 m,
+of longitude.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from plume.problem import Problem
+from plume.problems.names import named
+
+HOME = (60.0, 10.0)
+NORTH_M, EAST_M = 111.195, 55.597
+# Places in thousandths of a degree east and north of home, and the same in metres.
+FIELD, HALL = [(0, 0), (4, 0), (4, 2), (0, 2)], [(1, 1), (2, 1), (2, 1.5), (1, 1.5)]
+
+
+def lon_lat(places: list[tuple[float, float]]) -> list[list[float]]:
+    return [[round(HOME[1] + x / 1000, 7), round(HOME[0] + y / 1000, 7)] for x, y in places]
+
+
+def kml(field: str = "field", more: str = "", head: str = "") -> str:
+    def polygon(name: str, places: list, inner: str = "") -> str:
+        said = " ".join(f"{lon},{lat},0" for lon, lat in lon_lat([*places, places[0]]))
+        return (
+            f"<Placemark><name>{name}</name><Polygon><outerBoundaryIs><LinearRing><coordinates>{said}"
+            f"</coordinates></LinearRing></outerBoundaryIs>{inner}</Polygon></Placemark>"
+        )
+
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?>{head}<kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
+        f"{polygon(field, FIELD)}{polygon('Keep-out: hall', HALL)}{more}"
+        "<Placemark><name>Home</name><Point><coordinates>10,60,12</coordinates></Point></Placemark>"
+        "</Document></kml>"
+    )
+
+
+def geojson(**changes: Any) -> str:
+    def feature(name: str, kind: str, places: Any) -> dict:
+        return {
+            "type": "Feature",
+            "properties": {"name": name},
+            "geometry": {"type": kind, "coordinates": places},
+        }
+
+    features = [
+        feature("field", "Polygon", [lon_lat([*FIELD, FIELD[0]])]),
+        feature("no-fly zone", "Polygon", [lon_lat([*HALL, HALL[0]])]),
+        feature("home", "Point", [10.0, 60.0]),
+    ]
+    return json.dumps({"type": "FeatureCollection", "features": features} | changes)
+
+
+def plan(**changes: Any) -> str:
+    def polygon(places: list, inclusion: bool) -> dict:
+        return {"inclusion": inclusion, "polygon": [[lat, lon] for lon, lat in lon_lat(places)], "version": 1}
+
+    fence = {"circles": [], "polygons": [polygon(FIELD, True), polygon(HALL, False)], "version": 2} | changes
+    return json.dumps(
+        {
+            "fileType": "Plan",
+            "geoFence": fence,
+            "groundStation": "QGroundControl",
+            "mission": {"items": [], "plannedHomePosition": [60.0, 10.0, 12.0], "version": 2},
+            "rallyPoints": {"points": [], "version": 2},
+            "version": 1,
+        }
+    )
+
+
+def of(folder: Path, name: str, text: str) -> Problem:
+    path = folder / name
+    path.write_text(text)
+    return named(str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("yard.kml", kml()), ("yard.geojson", geojson()), ("yard.PLAN", plan())]
+)
+def test_a_fence_is_in_metres_from_its_home(name: str, text: str, tmp_path: Path) -> None:
+    problem = of(tmp_path, name, text)
+    (hall,) = problem.keep_out
+    for corners, places in ((problem.keep_in, FIELD), (hall, HALL)):
+        assert np.array(corners) == pytest.approx(
+            np.array(places) * (EAST_M, NORTH_M), abs=0.015
+        )  # meridians meet
+    assert problem.area.low == pytest.approx((0, 0), abs=0.02)
+    assert problem.area.high == pytest.approx((4 * EAST_M, 2 * NORTH_M), abs=0.02)
+    assert problem.step_m == 1.0
+    assert named(problem.text) == problem
+    assert problem.ground.obstacles
+    # Home is a corner of the field, so the search begins at the nearest place that is clear.
+    assert problem.start
+    assert 0 < problem.start[0] < 10  # type: ignore[index,operator]
+
+
+def test_a_hole_in_the_polygon_to_keep_in_is_kept_out_of(tmp_path: Path) -> None:
+    features = json.loads(geojson())["features"]
+    features[0]["geometry"]["coordinates"].append(lon_lat([(3, 1), (3.5, 1), (3.5, 1.5)]))
+    problem = of(tmp_path, "yard.geojson", geojson(features=features))
+    assert [len(polygon) for polygon in problem.keep_out] == [3, 4]
+
+
+def test_home_may_be_in_the_middle_and_is_then_the_start(tmp_path: Path) -> None:
+    features = json.loads(geojson())["features"]
+    features[2]["geometry"]["coordinates"] = [10.0005, 60.0005]
+    problem = of(tmp_path, "yard.geojson", geojson(features=features))
+    assert problem.start == (0.0, 0.0)
+    assert problem.area.low == pytest.approx((-EAST_M / 2, -NORTH_M / 2), abs=0.02)
+
+
+def polygons(*inclusions: bool) -> dict:
+    some = json.loads(plan())["geoFence"]["polygons"]
+    return {"polygons": [some[0] | {"inclusion": inclusion} for inclusion in inclusions]}
+
+
+REFUSED = [
+    ("a.kml", "", "not valid XML: no element found"),
+    ("a.kml", "<kml><Document>", "not valid XML"),
+    ("a.kml", "<gpx/>", "its root is <gpx>; wanted <kml>"),
+    (
+        "a.kml",
+        kml(head='<!DOCTYPE kml [<!ENTITY a "aaaa">]>'),
+        "<!DOCTYPE is not allowed; wanted KML without a document type and entities",
+    ),
+    ("a.kml", kml(field="Keep out of this"), "0 polygons to keep in; wanted one"),
+    (
+        "a.kml",
+        kml().replace("Keep-out: hall", "hall"),
+        r"2 polygons to keep in \('field', 'hall'\); wanted one",
+    ),
+    ("a.kml", kml().replace("<name>Home</name>", ""), "0 points named home; wanted one, where the vehicle"),
+    ("a.kml", kml().replace("10,60,12", "10;60"), "placemark 'Home': coordinates '10;60' are not allowed"),
+    ("a.kml", kml().replace("10,60,12", ""), "placemark 'Home': no coordinates"),
+    (
+        "a.kml",
+        kml().replace("10,60,12", "10,nan"),
+        "placemark 'Home': latitude nan and longitude 10.0 are not",
+    ),
+    (
+        "a.kml",
+        kml().replace("10,60,12", "10,50"),
+        "the polygon to keep in: 60.0.* is 1,112 km from home; wanted up",
+    ),
+    ("a.geojson", "[]", "not a JSON object"),
+    ("a.geojson", "{", "not valid JSON"),
+    ("a.geojson", "[" * 100_000, "not valid JSON"),
+    ("a.geojson", "{}", "wanted a FeatureCollection of up to 1,000 features"),
+    ("a.geojson", geojson(features=[{}] * 1001), "wanted a FeatureCollection of up to 1,000 features"),
+    ("a.geojson", geojson(features=[3]), r"features\[0\]: wanted a feature with a geometry"),
+    (
+        "a.geojson",
+        geojson(features=[{"geometry": {"type": "LineString"}}]),
+        r"features\[0\]: 'LineString' is not allowed; wanted Point, Polygon",
+    ),
+    (
+        "a.geojson",
+        geojson(features=[{"geometry": {"type": "Polygon", "coordinates": [[["a", 3]]]}}]),
+        r"features\[0\]: latitude 3 and longitude 'a' are not allowed; wanted degrees",
+    ),
+    ("a.plan", "{}", "fileType is None; wanted 'Plan'"),
+    ("a.plan", plan(circles=[{"circle": {}}]), "geoFence.circles: circles are not allowed; wanted polygons"),
+    ("a.plan", plan(**polygons(False)), "geoFence: 0 polygons with inclusion; wanted one"),
+    ("a.plan", plan(**polygons(True, True)), "geoFence: 2 polygons with inclusion; wanted one"),
+    ("a.plan", plan(polygons=[{"polygon": [[1, 2]]}]), r"geoFence.polygons\[0\]: wanted `polygon`, a list"),
+    (
+        "a.plan",
+        plan(polygons=[{"polygon": [5], "inclusion": True}]),
+        r"polygons\[0\]: 5 is not allowed; wanted",
+    ),
+    (
+        "a.plan",
+        plan(polygons=[{"polygon": [[60, 10], [60.001, 10]], "inclusion": True}]),
+        "the polygon to keep in: 2 corners are not allowed; wanted at least 3",
+    ),
+    (
+        "a.plan",
+        plan(
+            polygons=[
+                {"polygon": [[60, 10], [60.002, 10.002], [60.002, 10], [60, 10.002]], "inclusion": True}
+            ]
+        ),
+        "keep_in: its sides 1 and 3 meet",
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "said"), REFUSED, ids=range(len(REFUSED)))
+def test_a_file_that_is_no_fence_is_refused_in_one_line_that_names_it(
+    name: str, text: str, said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueError, match=said) as refusal:
+        of(tmp_path, name, text)
+    assert str(refusal.value).startswith(str(tmp_path / name))
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_file_that_is_too_large_or_not_there_or_no_text_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="more than 1,000,000 bytes are not allowed"):
+        of(tmp_path, "a.kml", kml() + " " * 1_000_000)
+    (tmp_path / "zip.kml").write_bytes(b"PK\x03\x04\xff\xfe")
+    with pytest.raises(ValueError, match=r"zip\.kml: not text in UTF-8: invalid start byte at byte 4"):
+        named(str(tmp_path / "zip.kml"))
+    with pytest.raises(ValueError, match="No such file or directory"):
+        named(str(tmp_path / "none.kml"))
