@@ -86,7 +86,9 @@ def test_a_fence_is_in_metres_from_its_home(name: str, text: str, tmp_path: Path
     problem = of(tmp_path, name, text)
     (hall,) = problem.keep_out
     for corners, places in ((problem.keep_in, FIELD), (hall, HALL)):
-        assert np.array(corners) == pytest.approx(np.array(places) * (EAST_M, NORTH_M), abs=0.015)  # meridians meet
+        assert np.array(corners) == pytest.approx(
+            np.array(places) * (EAST_M, NORTH_M), abs=0.015
+        )  # meridians meet
     assert problem.area.low == pytest.approx((0, 0), abs=0.02)
     assert problem.area.high == pytest.approx((4 * EAST_M, 2 * NORTH_M), abs=0.02)
     assert problem.step_m == 1.0
