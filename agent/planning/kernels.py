@@ -272,8 +272,8 @@ def shortest_ways(
 
     sides: (S, 4), x and y of both ends, by polygon; owners: (S,) the first side of each one's polygon.
     corners: (C, 2).  between: (C, C) m, lengths of ways between them. A way stays further than the clearance
-    from polygons; where the goal or all ways to it do not, the last leg crosses no side. Without any way it is
-    the straight distance.
+    from polygons; where the goal or all ways to it do not, the last leg crosses no side. Without any way it
+    is the straight distance.
     """
     result, near = np.empty((len(places), goals.shape[1])), np.empty(len(sides), np.bool_)
     to_corners = _to_corners(places, sides, corners, between, clearance_m)
