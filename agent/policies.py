@@ -52,7 +52,9 @@ def policies() -> dict[str, str]:
     learned policies that ship, and the policies that installed packages plug in (entry points of the group
     `plumeward.policies`). A bundle in a file is a policy too, by its path.
 
-    Example: `"homing" in plumeward.policies()` is True.
+    Examples:
+        >>> "homing" in plumeward.policies()
+        True
     """
     planned = {name: _first_line(module) for name, module in registry.PLANNERS.items()}
     return planned | LEARNED | {plugin.name: _about(plugin) for plugin in entry_points(group=PLUGINS)}

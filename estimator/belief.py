@@ -32,9 +32,13 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     The particles are an array (N, D + 1). A row of the array, float32, is a particle: its D unknowns in the
     order of `Belief.unknowns`, then its weight; the weights sum to 1.
 
-    Example:
-        `said, particles = belief(posterior, reading, config)`; then `said.mean` is the estimate of the
-        source (m), `said.spread` its standard deviation (m) and `said.ceased` whether the search may stop.
+    Examples:
+        >>> config = plumeward.Config(rate=250.0, diffusivity=3.0)
+        >>> reading = plumeward.Reading(0, (8.0, 9.0), 5.0, (1.5, -0.5), 1.3)
+        >>> posterior = plumeward.assimilate(plumeward.prior(config), reading, config)
+        >>> said, particles = plumeward.belief(posterior, reading, config)
+        >>> round(said.spread, 2), said.ceased, particles.shape  # m; may it stop?; x, y and weight
+        (3.03, False, (1000, 3))
     """
     unknown_means, unknown_covariance = moments(posterior.particles, posterior.weights)
     means = config.prior_rows[:, 1].copy()  # known values; the unknowns' means follow

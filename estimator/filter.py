@@ -34,9 +34,10 @@ class Config:
     Raises ValueError if they are inconsistent, TypeError if the sensor or a prior is something else, such
     as its text.
 
-    Example:
-        `Config(particles=4000, rate=250.0, diffusivity=3.0)` knows the release rate (g/s) and the
-        diffusivity (m²/s), and takes the source to be anywhere in the area.
+    Examples:
+        >>> config = plumeward.Config(rate=250.0, diffusivity=3.0)  # g/s and m²/s: knows both
+        >>> config.particles, config.threshold_m
+        (1000, 0.5)
     """
 
     particles: int = 1000
@@ -187,7 +188,13 @@ class Config:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Weighted particles and the readings behind them; never changed, only replaced."""
+    """Weighted particles and the readings behind them; never changed, only replaced.
+
+    Examples:
+        >>> posterior = plumeward.prior(plumeward.Config(particles=500))
+        >>> len(posterior.readings), posterior.log_weights.shape
+        (0, (500,))
+    """
 
     particles: Array  # (D, N), one row per unknown
     log_weights: Array  # (N,) up to a constant
@@ -219,9 +226,9 @@ class Posterior:
 def prior(config: Config) -> Posterior:
     """Return the belief before any reading: N particles of equal weight, drawn from the priors.
 
-    Example:
-        `prior(Config(particles=500)).particles.shape` is (2, 500): a row for each unknown, x and y in
-        metres.
+    Examples:
+        >>> plumeward.prior(plumeward.Config(particles=500)).particles.shape  # a row for x and one for y, m
+        (2, 500)
     """
     count = config.particles
     rows, unknowns, rng = config.prior_rows, config.unknown_indices, keyed(config.seed, "prior")
@@ -238,18 +245,18 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
     `estimator.kernels.update` does it. A function of its arguments alone: the same readings in the same order
     give the same particles. `posterior` is not changed.
 
-    Example:
-        ```python
-        config = plumeward.Config(rate=250.0, diffusivity=3.0)
-        posterior = plumeward.prior(config)
-        for step, (position, gas) in enumerate(samples):
-            reading = plumeward.Reading(1000 * step, position, 5.0, wind, gas)
-            posterior = plumeward.assimilate(posterior, reading, config)
-            said, particles = plumeward.belief(posterior, reading, config)
-            if said.ceased:
-                break
-        print(said.mean, said.spread)
-        ```
+    Examples:
+        >>> samples, wind = [((8.0, 9.0), 1.3), ((12.0, 10.0), 2.1), ((12.0, 12.0), 0.4)], (1.5, -0.5)
+        >>> config = plumeward.Config(rate=250.0, diffusivity=3.0)
+        >>> posterior = plumeward.prior(config)
+        >>> for step, (position, gas) in enumerate(samples):
+        ...     reading = plumeward.Reading(1000 * step, position, 5.0, wind, gas)
+        ...     posterior = plumeward.assimilate(posterior, reading, config)
+        ...     said, particles = plumeward.belief(posterior, reading, config)
+        ...     print(step, round(said.spread, 2), said.ceased)
+        0 3.03 False
+        1 1.69 False
+        2 1.16 False
     """
     sample = WeightedSample(*(array.copy() for array in posterior.sample))
     vehicles = posterior.vehicles

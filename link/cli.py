@@ -191,8 +191,8 @@ def listed(
     return lambda text: list(dict.fromkeys(parse(item) for item in separate(text)))
 
 
-def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags that choose the bus to join."""
+def add_bus_arguments(parser: argparse.ArgumentParser, namespace: str | None = "uav/1") -> None:
+    """Add the flags that choose the bus to join; namespace: the default, None: every vehicle's."""
     from link.bus.opening import DEFAULT_ROUTER  # loads Zenoh
 
     parser.add_argument(
@@ -203,7 +203,10 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
         help="the Zenoh router to join (default: %(default)s)",
     )
     parser.add_argument(
-        "--namespace", metavar="NAME", default="uav/1", help="the vehicle's key prefix (default: %(default)s)"
+        "--namespace",
+        metavar="NAME",
+        default=namespace,
+        help=f"the vehicle's key prefix (default: {namespace or 'every vehicle on the router'})",
     )
     add_secure_argument(parser)
     add_log_argument(parser)

@@ -64,8 +64,16 @@ def interval(name: str, unknowns: Sequence[str], particles: ArrayLike) -> tuple[
     return low, high
 
 
-class TracePoint(msgspec.Struct, frozen=True):
-    """One step of a mission: where a reading was taken, and the belief after it."""
+class TracePoint(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One step of a mission: where a reading was taken, and the belief after it.
+
+    In JSON `vehicle` is left out where it is 1.
+
+    Examples:
+        >>> _, trace = plumeward.rollout(seed=4)
+        >>> round(trace[-1].reading, 2), round(trace[-1].spread, 2)  # g/m³ and m, at the stop
+        (0.35, 0.27)
+    """
 
     position: tuple[float, float]
     reading: float
@@ -75,7 +83,13 @@ class TracePoint(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """The result of a mission; `fly` and `rollout` print it as JSON. Lengths in metres, times in seconds."""
+    """The result of a mission; `fly` and `rollout` print it as JSON. Lengths in metres, times in seconds.
+
+    Examples:
+        >>> outcome, _ = plumeward.rollout(seed=4)
+        >>> outcome.ceased, outcome.located, round(outcome.distance_m, 1)
+        (True, True, 37.0)
+    """
 
     seed: int
     policy: str

@@ -60,7 +60,9 @@ Span = Number | tuple[Number, Number]  # a value, or the least and the greatest 
 class Area(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A rectangle along the axes. Raises ValueError, one line, if its corners are not allowed.
 
-    Example: `plumeward.Area(low=(-50, 0), high=(150, 80))` lies 200 m from west to east.
+    Examples:
+        >>> plumeward.Area(low=(-50, 0), high=(150, 80)).size_m  # from west to east, and from south to north
+        (200, 80)
     """
 
     low: Annotated[Place, Meta(description="its south-west corner, (x, y) m, each from -100000 to 100000")]
@@ -161,11 +163,11 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     What is left out is that of the paper's Table 1. Raises ValueError, one line that names the field, the
     value and what is allowed.
 
-    Example:
-        ```python
-        field = plumeward.Problem(area=plumeward.Area((-50, 0), (150, 80)), step_m=3)
-        outcome, trace = plumeward.rollout(seed=1, problem=field)
-        ```
+    Examples:
+        >>> field = plumeward.Problem(area=plumeward.Area((-50, 0), (150, 80)), step_m=3)
+        >>> outcome, trace = plumeward.rollout(seed=1, problem=field)
+        >>> outcome.located
+        True
     """
 
     area: Annotated[Area, Meta(description="where the search flies")] = AREA

@@ -41,7 +41,13 @@ class WorldError(ValueError):
 
 
 class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One gas release. It holds the true source: never give it to code that estimates or plans."""
+    """One gas release. It holds the true source: never give it to code that estimates or plans.
+
+    Examples:
+        >>> it = plumeward.Scenario((12.0, 15.0), q=250.0, u=2.0, phi=0.0, d=3.0, tau=10.0, start=(1.0, 2.0))
+        >>> it.wind  # 2 m/s from the east
+        (2.0, 0.0)
+    """
 
     source: tuple[float, float]  # (x, y) m, x east, y north
     q: float  # release rate, g/s
@@ -82,8 +88,10 @@ def draw(seed: int, problem: "Problem | None" = None) -> Scenario:
     Returns:
         The release, the wind and the start of the search. It holds the true source.
 
-    Example:
-        `plumeward.draw(7).source` is where the source of mission 7 is, (x, y) in metres.
+    Examples:
+        >>> x, y = plumeward.draw(7).source  # of mission 7, m
+        >>> round(x, 2), round(y, 2)
+        (23.31, 24.19)
     """
     low, high = problem.spans if problem else TABLE_1
     x, y, q, u, phi, d, start_x, start_y = uniform(keyed(seed, "scenario"), low, high).tolist()

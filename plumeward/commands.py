@@ -18,21 +18,30 @@ PACKAGES = {
     "estimator": Command("estimator", "the estimator: readings in, beliefs and the stop out"),
     "agent": Command("agent", "the agent: beliefs in, waypoints out"),
 }
-# The commands as the help shows them.
+# The commands as the help shows them: by what people want.
 GROUPS = {
-    "Fly a mission": ("fly", "rollout", "list"),
-    "Look at missions": ("view", "status", "log", "draw", "findings", "replay", "record"),
-    "Look at worlds": ("worlds",),
-    "Compare and train policies": ("evaluate", "train", "report"),
-    "Run one part alone": ("router", "uav", "payload", "bridge", "ros2", "estimator", "agent"),
-    "Keep strangers out": ("certs",),
+    "Fly a mission": ("fly", "list"),
+    "Look while it flies": ("view", "status"),
+    "Analyse a flight": ("findings", "draw", "log", "replay"),
+    "Do research": ("rollout", "evaluate", "train", "report", "worlds"),
+    "Operate parts by themselves": (
+        "router",
+        "uav",
+        "payload",
+        "bridge",
+        "estimator",
+        "agent",
+        "record",
+        "ros2",
+        "certs",
+    ),
 }
 KNOWN = {
     **OF_SITL,
     **PACKAGES,
     "fly": OF_SITL["fly"]._replace(module="plumeward.flight"),
     "certs": Command("link.certs", "make the certificates that --secure takes"),
-    "list": Command("plumeward.choices", "list the missions, policies, sensors, assumptions and worlds"),
+    "list": Command("plumeward.choices", "list missions, policies, sensors, assumptions and worlds"),
 }
 COMMANDS = {name: KNOWN[name] for names in GROUPS.values() for name in names}
 # Commands that run the whole command line of a package, not one of its sub-commands.
@@ -45,8 +54,10 @@ def help_text() -> str:
     lines = [
         "usage: plumeward COMMAND ...",
         "",
-        "Fly a simulated drone to a gas leak. A particle filter locates the leak",
-        "and decides when the search may stop.",
+        "Fly a drone, simulated or real, to a gas leak. A particle filter locates the",
+        "leak and decides when the search may stop.",
+        "",
+        "Begin with: plumeward fly --view",
     ]
     for group, names in GROUPS.items():
         lines += ["", f"{group}:", *(f"  {name:<10} {COMMANDS[name].does}" for name in names)]

@@ -26,7 +26,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLoca
 from numpy.typing import NDArray
 
 from plume.problem import Area
-from scene.scene import Release, Scatter, Scene, ellipse
+from scene.scene import Release, Scatter, Scene, Turn, ellipse, turns
 
 # Settings of matplotlib while a picture is made and saved.
 STYLE: Any = {
@@ -90,6 +90,18 @@ VEHICLE: dict[str, Any] = {
     "markersize": 12,
     "linestyle": "none",
 }
+TURNED = "#7b3294"  # where the wind turned
+WIND: dict[str, Any] = {  # an arrow to where the air flows
+    "arrowstyle": "-|>",
+    "mutation_scale": 11,
+    "linewidth": 1.6,
+    "shrinkA": 0,
+    "shrinkB": 0,
+    "zorder": 3.8,
+    "visible": False,
+    "animated": True,
+}
+WIND_LENGTH = 0.09  # of such an arrow, by the longer side of the area
 READINGS: dict[str, Any] = {
     "s": 16,
     "cmap": PLUME,
@@ -164,6 +176,44 @@ class _Cloud:
         self.gas.set_data(*([last.step], [last.gas]) if last else ([], []))
 
 
+class _TurnedWind:
+    """One turn of the wind: two arrows at its place, before and after, and a line in the charts."""
+
+    def __init__(self, drawing: "Drawing", turn: Turn, length_m: float) -> None:
+        self.step = turn.step
+        x, y = turn.place
+        self.artists: list[Artist] = []
+        for (east, north), line in ((turn.before, ":"), (turn.after, "-")):
+            share = length_m / math.hypot(east, north)
+            head = x - east * share, y - north * share  # air flows away from where the wind comes from
+            arrow = FancyArrowPatch((x, y), head, color=TURNED, linestyle=line, **WIND)
+            self.artists.append(drawing.map.add_patch(arrow))
+        for chart in (drawing.spread, drawing.gas):
+            self.artists.append(
+                chart.axvline(
+                    turn.step, color=TURNED, linewidth=1, linestyle=":", visible=False, animated=True
+                )
+            )
+        self.artists.append(
+            drawing.spread.text(
+                turn.step,
+                1.02,
+                f"wind {turn.degrees:.0f}°",
+                transform=drawing.spread.get_xaxis_transform(),
+                color=TURNED,
+                size=8,
+                ha="center",
+                visible=False,
+                animated=True,
+            )
+        )
+
+    def show(self, turned: bool) -> None:
+        """Show it, or not yet."""
+        for artist in self.artists:
+            artist.set_visible(turned)
+
+
 class Drawing:
     """One figure that shows scenes of one mission, one after the other.
 
@@ -180,6 +230,7 @@ class Drawing:
         self._is_print = bool(beliefs)
         # Of the charts: steps, gas below 0, gas; and of the map, m around the area.
         self._room = [float(max(steps, 1)), 0.5, 10.0, 0.0]
+        self._moving: list[Any] = []  # what changes
         self._still: Any = None  # the picture without what changes; None while it is not up to date
         with matplotlib.rc_context(STYLE):
             self.figure = Figure(figsize=SIZE_IN, dpi=FRAME_DPI)
@@ -193,6 +244,7 @@ class Drawing:
             self._begin(max(len(beliefs), 1))
             for cloud, believed in zip(self._clouds, beliefs, strict=False):
                 cloud.show(believed)
+            self._turns = self._lay_turns(scene)
             said = [it.measurements[-1].step for it in beliefs if it.measurements]
             self._lay_legend([f" at step {step}" for step in said] or [""])
 
@@ -258,7 +310,7 @@ class Drawing:
             yscale="log",
             ylim=(min(0.1, (zeta_m or 1) / 4), max(20, self._backdrop.area.side_m * 2 / 3)),
         )
-        ticks(self.spread.yaxis, (0.1, 0.3, 1, 3, 10))
+        ticks(self.spread.yaxis, (0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000))
         self.spread.tick_params(labelbottom=False)
         if zeta_m is not None:
             self.spread.axhline(zeta_m, color=INK, linestyle="--", linewidth=1)
@@ -291,6 +343,13 @@ class Drawing:
             chart.set_xlim(-0.02 * steps, 1.02 * steps)
         self.gas.set_ylim(-1.2 * below, 1.6 * above)
         self._still = None
+
+    def _lay_turns(self, scene: Scene) -> list[_TurnedWind]:
+        """Lay the marks where the wind turns, which are shown once it has."""
+        length_m = WIND_LENGTH * max(self._backdrop.area.size_m)
+        marks = [_TurnedWind(self, turn, length_m) for turn in turns(scene.measurements)]
+        self._moving = sorted(self.figure.findobj(Artist.get_animated), key=Artist.get_zorder)
+        return marks
 
     def _make_room(self, scene: Scene) -> None:
         """Widen charts and map if a scene has more steps or gas, or an estimate further out, than fits."""
@@ -325,6 +384,12 @@ class Drawing:
             styles["true source"] = SOURCE
         if not self._is_print:
             styles["vehicle"] = VEHICLE
+        if self._turns:
+            styles["wind turns; dotted: before"] = {
+                "color": TURNED,
+                "linestyle": (0, (1, 1)),
+                "linewidth": 1.6,
+            }
         for cloud, words in zip(self._clouds, beliefs, strict=False):
             mark = {"color": cloud.colour, "marker": "o", "markersize": 6, "linewidth": 1.8}
             styles[f"belief{words}: particles, 2 σ"] = mark
@@ -359,7 +424,6 @@ class Drawing:
         above: dict[str, Any] = {"transform": self.map.transAxes, "animated": True}
         self._title = self.map.text(0, 1.075, "", weight="bold", **above)
         self._text = self.map.text(0, 1.025, "", size=9, **above)
-        self._moving: list[Any] = sorted(self.figure.findobj(Artist.get_animated), key=Artist.get_zorder)
 
     def _show_path(self, scene: Scene) -> None:
         taken = scene.measurements
@@ -380,6 +444,8 @@ class Drawing:
             self._craft.set_marker(_nose(shown.heading))
 
     def _show_wind(self, scene: Scene) -> None:
+        for mark in self._turns:
+            mark.show(mark.step in {turn.step for turn in turns(scene.measurements)})
         wind = scene.wind
         speed = math.hypot(*wind) if wind else 0.0
         self._arrow.set_visible(speed > 0)

@@ -22,6 +22,11 @@ Floats = NDArray[np.float32]
 INFO, WARNING, ERROR, STOPPED = "info", "warning", "error", "stop"  # levels of a `Happening`
 
 
+TURN_DEG = 30.0  # a turn of the wind that people are shown is at least so large
+TURN_READINGS = 3  # and has lasted for so many readings
+LEAST_WIND_MPS = 0.5  # a weaker wind has no direction worth telling
+
+
 @dataclass(frozen=True, slots=True)
 class Release:
     """The truth of a simulation: where the gas comes from and how it spreads. A real flight has none."""
@@ -153,6 +158,7 @@ class Measurement:
     evidence: float = 0.0  # for gas, nats
     effective_sample_size: float = math.nan
     outside: float = 0.0  # share of the belief outside the area
+    measured_wind: Point | None = None  # with the reading: points to where it comes from, m/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,6 +249,51 @@ def judged(
     if source:
         words += f"; error {math.dist(estimate, source):.2f} m"
     return Ending(verdict(True, estimate, source, outside_share, area), words)
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """The wind turned, as measured: from this reading on it is another."""
+
+    step: int
+    place: Point
+    before: Point  # the wind, which points to where it comes from, m/s
+    after: Point
+
+    @property
+    def degrees(self) -> float:
+        """By how much it turned, 0 to 180."""
+        (east, north), (other_east, other_north) = self.before, self.after
+        across, along = east * other_north - north * other_east, east * other_east + north * other_north
+        return abs(math.degrees(math.atan2(across, along)))
+
+
+def turns(measurements: Sequence[Measurement]) -> list[Turn]:
+    """Return where the wind turned: its means of a few readings before and after differ by TURN_DEG or more.
+
+    A turn that did not last for TURN_READINGS readings is none.
+    """
+    known = [it for it in measurements if it.measured_wind]
+    winds = np.array([it.measured_wind for it in known], np.float64).reshape(-1, 2)
+    found: list[Turn] = []
+    last = -1  # the newest reading that counted towards a turn
+    for i in range(TURN_READINGS, len(known) - TURN_READINGS + 1):
+        before, after = winds[i - TURN_READINGS : i].mean(axis=0), winds[i : i + TURN_READINGS].mean(axis=0)
+        turn = Turn(known[i].step, known[i].position, _point(before), _point(after))
+        is_weak = min(np.hypot(*before), np.hypot(*after)) < LEAST_WIND_MPS
+        is_before = np.hypot(*(winds[i] - before)) < np.hypot(*(winds[i] - after))
+        if turn.degrees < TURN_DEG or is_weak or is_before:
+            continue
+        if found and i - last == 1:  # the same turn: it is where the two differ most
+            found[-1] = max(found[-1], turn, key=lambda it: it.degrees)
+        else:
+            found.append(turn)
+        last = i
+    return found
+
+
+def _point(vector: NDArray[np.float64]) -> Point:
+    return float(vector[0]), float(vector[1])
 
 
 def ellipse(covariance: tuple[float, float, float]) -> tuple[float, float, float]:

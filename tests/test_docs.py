@@ -58,6 +58,8 @@ RELIED_ON = {
     "docs/security.md: plumeward certs certs --vehicles 1,2",
     "docs/services.md: plumeward router --listen tcp/127.0.0.1:7447",
     "docs/vehicles.md: plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11",
+    "docs/guides/gas-sensor.md: python docs/examples/fake_sensor.py",
+    "docs/guides/my-field.md: plumeward rollout --problem my-field.yaml --seed 4",
 }
 """What `make test` runs, beside all that prints help: a page, and the first command of a block. `make
 test-all` runs the others.
@@ -110,10 +112,14 @@ INSTEAD = {
     "plumeward bridge udpin:127.0.0.1:14550 tcp:127.0.0.1:5760 --connect tcp/127.0.0.1:7447": "plumeward bridge udpin:127.0.0.1:7447 tcp:127.0.0.1:1 --connect tcp/127.0.0.1:7447",
     "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447": "plumeward payload --payload serial:nothing:9600 --connect tcp/127.0.0.1:7447",
     "plumeward replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "plumeward replay flight.tlog --gas gas*1.0 --wind 2.5,270",
+    "plumeward uav --out udpout:127.0.0.1:14540": "plumeward uav --out udpout:127.0.0.1:7447",
     "plumeward uav --out udpout:127.0.0.1:14540 --seed 3000950": "plumeward uav --out udpout:127.0.0.1:7447 --seed 3000950 --speedup 10",
     "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 3000950 --speedup 1 --record first.mcap": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 3000950 --speedup 10 --record first.mcap",
     "plumeward fly --vehicle tcp:127.0.0.1:5760 --seed 11": "plumeward fly --vehicle tcp:127.0.0.1:1 --seed 11",
     "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 11",
+    "plumeward view --connect tcp/127.0.0.1:7447": "plumeward view --connect tcp/127.0.0.1:7447 --port 0",
+    "plumeward fly --vehicle udpin:127.0.0.1:14540 --payload serial:gas-sensor --sensor gaussian:0.3,0.02 --wind 2.5,270 --budget 5 --record bench.mcap": "plumeward fly --vehicle udpin:127.0.0.1:7447 --payload serial:gas-sensor --sensor gaussian:0.3,0.02 --wind 2.5,270 --budget 5 --record bench.mcap",
+    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 3000950 --record rehearsal.mcap": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 3000950 --speedup 10 --record rehearsal.mcap",
     "tensorboard --logdir runs/train": "tensorboard --logdir runs/train --port 0",
 }
 """What is run in place of a command: one that takes less time, or needs nothing that only others have."""
@@ -133,6 +139,14 @@ STAYS = {
     "plumeward payload --payload iio:gas --connect tcp/127.0.0.1:7447": "ready: iio:gas",
     "plumeward fly --vehicle tcp:127.0.0.1:5760 --seed 11": "Waiting for the autopilot: no HEARTBEAT",
     "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11": "Waiting for the autopilot: no HEARTBEAT",
+    "python docs/examples/fake_sensor.py": "a sensor in clean air",
+    "plumeward estimator --namespace uav/1 --connect tcp/127.0.0.1:7447": "ready: ",
+    "plumeward estimator --namespace uav/2 --connect tcp/127.0.0.1:7447": "ready: ",
+    "plumeward agent --namespace uav/1 --connect tcp/127.0.0.1:7447": "ready: ",
+    "plumeward agent --namespace uav/2 --connect tcp/127.0.0.1:7447": "ready: ",
+    "plumeward view --connect tcp/127.0.0.1:7447": "page at http://127.0.0.1:",
+    "plumeward status --watch --connect tcp/127.0.0.1:7447": "uav/2 at tcp/",
+    "plumeward fly --vehicle serial:/dev/ttyAMA0:921600 --payload serial:/dev/ttyUSB0:9600 --sensor gaussian:0.3,0.02 --dwell 2 --record flight.mcap --findings flight-findings --view": "Waiting for the autopilot: no HEARTBEAT",
     "plumeward record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
     "plumeward fly --seed 11 --view": "page stays open at",
     "plumeward fly --view": "page stays open at",

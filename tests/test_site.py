@@ -16,6 +16,7 @@ from ruamel.yaml import YAML
 
 import plumeward
 from plume import __version__
+from tests.view.browser import launched
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -134,6 +135,26 @@ def test_nothing_on_a_page_makes_the_theme_load_a_library_or_a_repository(site: 
         assert not re.search(
             r'class="[^"]*\bmermaid\b|data-md-component="source"|class="md-source', page.read_text()
         ), page
+
+
+def test_each_page_has_a_title_of_its_own_that_says_the_site_once(site: Path) -> None:
+    titles = [
+        re.findall(r"<title>(.*?)</title>", page.read_text())[0]
+        for page in site.rglob("*.html")
+        if page.name != "404.html"
+    ]
+    assert [title for title in titles if title.count("Plumeward") != 1] == []
+    assert len({*titles}) >= len(titles) - 3  # a guide and the reference may be on the same thing
+
+
+@pytest.mark.full
+def test_no_page_is_wider_than_a_phone_or_a_small_screen(site: Path) -> None:
+    with launched() as chromium:
+        for width in (360, 1280):
+            window = chromium.new_page(viewport={"width": width, "height": 800})
+            for page in site.rglob("*.html"):
+                window.goto(page.as_uri())
+                assert window.evaluate("document.documentElement.scrollWidth") <= width, page
 
 
 def test_no_host_is_invented() -> None:

@@ -322,14 +322,13 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
     | `assume` | `"paper"` | or `"field"`: what the estimator takes to be known |
     | `stop` | None | instead of `threshold_m`: `"within:1,0.99"`; without both the problem's |
 
-    Example:
-        ```python
-        import gymnasium, plumeward
-
-        env = gymnasium.make("plumeward/SourceSearch-v0", particles=500)
-        observation, info = env.reset(seed=1)
-        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        ```
+    Examples:
+        >>> import gymnasium, plumeward
+        >>> env = gymnasium.make("plumeward/SourceSearch-v0", particles=500)
+        >>> observation, info = env.reset(seed=1)
+        >>> observation, reward, terminated, truncated, info = env.step(0)
+        >>> observation.shape, reward, terminated
+        ((184,), -0.01, False)
     """
 
     metadata = RENDERING
@@ -390,6 +389,13 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     They share the filter's batch kernels. When a mission ends, the next one begins in the same step;
     `final_obs` and `final_info` are those of the mission that ended.
+
+    Examples:
+        >>> envs = plumeward.SourceSearchVector(num_envs=3)
+        >>> observations, infos = envs.reset(seed=1)
+        >>> observations, rewards, terminations, truncations, infos = envs.step(envs.action_space.sample())
+        >>> observations.shape, terminations.shape
+        ((3, 184), (3,))
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, **RENDERING}  # noqa: RUF012

@@ -33,13 +33,13 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
     Arguments: `vehicles` (2), `formation` ("point") and `separation_m` (3), as `plumeward.rollout` takes
     them; the others are those of `SourceSearch`. Options of a reset have no effect. Nothing is drawn.
 
-    Example:
-        ```python
-        env = plumeward.SourceSearchParallel(vehicles=3)
-        observations, infos = env.reset(seed=1)
-        actions = {agent: env.action_space(agent).sample() for agent in env.agents}
-        observations, rewards, terminations, truncations, infos = env.step(actions)
-        ```
+    Examples:
+        >>> env = plumeward.SourceSearchParallel(vehicles=3)
+        >>> observations, infos = env.reset(seed=1)
+        >>> actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        >>> observations, rewards, terminations, truncations, infos = env.step(actions)
+        >>> rewards
+        {'uav_1': -0.01, 'uav_2': -0.01, 'uav_3': -0.01}
     """
 
     metadata: ClassVar[dict[str, Any]] = {"name": "plumeward/SourceSearchParallel-v0", "render_modes": []}

@@ -184,11 +184,10 @@ def rollout(
             assumption or the criterion is not allowed.
         TypeError: There is no such argument, or the sensor or a prior is something else, such as its text.
 
-    Example:
-        ```python
-        outcome, trace = plumeward.rollout(seed=1)
-        print(outcome.located, outcome.error_m, len(trace))
-        ```
+    Examples:
+        >>> outcome, trace = plumeward.rollout(seed=4)
+        >>> outcome.located, outcome.steps, round(outcome.error_m, 2)
+        (True, 37, 0.17)
     """
     searched = with_arguments(problem, budget=budget, world=world)
     criterion = chosen(threshold_m, stop, searched.stop)

@@ -16,7 +16,22 @@ def schema() -> dict[str, Any]:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Plumeward mission",
-        **msgspec.json.schema(Script),
+        **_told_briefly(msgspec.json.schema(Script)),
+    }
+
+
+def _told_briefly(part: Any) -> Any:
+    """Return a part of a schema whose descriptions end before the first empty line.
+
+    What comes behind is for Python.
+    """
+    if isinstance(part, list):
+        return [_told_briefly(each) for each in part]
+    if not isinstance(part, dict):
+        return part
+    return {
+        name: it.partition("\n\n")[0] if name == "description" and isinstance(it, str) else _told_briefly(it)
+        for name, it in part.items()
     }
 
 

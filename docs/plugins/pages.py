@@ -41,6 +41,14 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
     return re.sub(r"\]\(([\w./-]*?)([\w-]+)\.ipynb\)(?!\{ \.md-button)", r"](\1\2.md)", markdown)
 
 
+def on_post_page(output: str, config: MkDocsConfig, **_: object) -> str:
+    """Give the first page a title that says what this is: its own is the site's name."""
+    name = config.site_name
+    return output.replace(
+        f"<title>{name} - {name}</title>", f"<title>{name}: {config.site_description}</title>"
+    )
+
+
 def from_docs(text: str) -> str:
     """Rewrite the links of a page beside README.md for docs/. A link to a file outside the site becomes
     plain text.

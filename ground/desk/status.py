@@ -1,4 +1,4 @@
-"""`plumeward status`: the state of each part of a mission."""
+"""`plumeward status`: the state of each part of each vehicle on a router."""
 
 import argparse
 import json
@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,7 @@ from rich.console import Console, Group
 from rich.live import Live
 
 from link import cli
+from link.access.roles import MOST_VEHICLES
 from link.bus.keys import HEALTH
 from link.bus.messages import Health
 from link.bus.opening import NoRouter
@@ -33,6 +34,8 @@ from scene.follow.parts import (
 )
 
 WATCH_EVERY_S = 1.0
+LISTEN_S = 0.1  # how long it listens to all vehicles before it judges them again
+FIRST = "uav/1"  # whose parts are missing where no vehicle is on the router
 SHORTEST_STATE = 20  # characters of a part's state that a narrow terminal shows at least
 COLOURS = {OK: "green", MISSING: "red", STARTING: "yellow", STALE: "red", REFUSING: "yellow"}
 
@@ -108,7 +111,7 @@ class Board:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
-    cli.add_bus_arguments(parser)
+    cli.add_bus_arguments(parser, namespace=None)
     parser.add_argument(
         "--parts",
         type=cli.listed(str),
@@ -122,48 +125,74 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the status once, or until interrupted; returns 0 if all parts are ok."""
+    """Show the status once, or until interrupted; returns 0 if all parts of all vehicles are ok."""
     live = Live(console=Console(highlight=False), auto_refresh=False)
     with live if args.watch and sys.stdout.isatty() and not args.json else nullcontext() as shown:
         while True:
             try:
-                with Bus(
-                    "status",
-                    args.connect,
-                    args.namespace,
-                    log_level=args.log_level,
-                    announced=False,
-                    secure=args.secure,
-                ) as bus:
-                    well = _look(bus, args, shown)
+                with ExitStack() as joined:
+                    well = _look(joined, args, shown)
             except NoRouter as error:
-                well = _show(
-                    args, shown, str(error), {name: {"status": MISSING} for name in args.parts or PARTS}
-                )
+                missing = {name: {"status": MISSING} for name in args.parts or PARTS}
+                well = _show(args, shown, str(error), {args.namespace or FIRST: missing})
             if not args.watch:
                 return 0 if well else cli.FAILED
             time.sleep(WATCH_EVERY_S)
 
 
-def _look(bus: Bus, args: argparse.Namespace, shown: Live | None) -> bool:
+def _join(joined: ExitStack, args: argparse.Namespace, namespace: str | None) -> Bus:
+    """Join the bus of a vehicle; without a namespace, the whole router."""
+    return joined.enter_context(
+        Bus("status", args.connect, namespace, log_level=args.log_level, announced=False, secure=args.secure)
+    )
+
+
+def _look(joined: ExitStack, args: argparse.Namespace, shown: Live | None) -> bool:
     """Listen until all verdicts are known, or with --watch for ever; returns whether all is well.
 
     Raises NoRouter when the router is gone.
     """
-    board = Board(args.parts or PARTS, bus.services(), time.monotonic(), only_wanted=bool(args.parts))
-    bus.watch_services()
-    bus.subscribe(HEALTH)
-    show_at = math.inf
+    router = None if args.namespace else _join(joined, args, None)
+    met = {args.namespace} if args.namespace else set()
+    vehicles: dict[str, tuple[Bus, Board]] = {}
+    show_at, meet_at = math.inf, -math.inf
     while True:
         now_s = time.monotonic()
-        if not bus.connected:
-            raise NoRouter(f"--connect: {bus.expiry() or f'the router at {args.connect} is gone'}")
-        if now_s >= show_at or (math.isinf(show_at) and board.settled(now_s)):
-            well = _show(args, shown, "", board.report(now_s))
+        if now_s >= meet_at:
+            meet_at = now_s + WATCH_EVERY_S
+            met |= router.vehicles() if router else set()
+            order = sorted(met or {FIRST}, key=lambda name: (len(name), name))[:MOST_VEHICLES]
+            vehicles = {name: vehicles.get(name) or _meet(joined, args, name) for name in order}
+        for bus, _ in vehicles.values():
+            if not bus.connected:
+                raise NoRouter(f"--connect: {bus.expiry() or f'the router at {args.connect} is gone'}")
+        if now_s >= show_at or (
+            math.isinf(show_at) and all(board.settled(now_s) for _, board in vehicles.values())
+        ):
+            well = _show(
+                args, shown, "", {name: board.report(now_s) for name, (_, board) in vehicles.items()}
+            )
             if not args.watch:
                 return well
             show_at = now_s + WATCH_EVERY_S
-        match bus.receive(timeout_s=0.1):
+        for bus, board in vehicles.values():
+            _hear(bus, board, LISTEN_S / len(vehicles))
+
+
+def _meet(joined: ExitStack, args: argparse.Namespace, namespace: str) -> tuple[Bus, Board]:
+    """Join the bus of a vehicle, and begin to judge its parts."""
+    bus = _join(joined, args, namespace)
+    board = Board(args.parts or PARTS, bus.services(), time.monotonic(), only_wanted=bool(args.parts))
+    bus.watch_services()
+    bus.subscribe(HEALTH)
+    return bus, board
+
+
+def _hear(bus: Bus, board: Board, for_s: float) -> None:
+    """Give what a vehicle's parts say within a time to its board."""
+    until_s = time.monotonic() + for_s
+    while (left_s := until_s - time.monotonic()) > 0:
+        match bus.receive(left_s):
             case LivelinessChange(service, alive):
                 board.lives(service, alive, time.monotonic())
             case Arrival() as message:
@@ -172,25 +201,38 @@ def _look(bus: Bus, args: argparse.Namespace, shown: Live | None) -> bool:
 
 
 def _show(
-    args: argparse.Namespace, shown: Live | None, no_router: str, parts: dict[str, dict[str, Any]]
+    args: argparse.Namespace,
+    shown: Live | None,
+    no_router: str,
+    vehicles: dict[str, dict[str, dict[str, Any]]],
 ) -> bool:
-    """Show a report; returns whether all is well."""
-    well = not no_router and all(part["status"] == OK for part in parts.values())
+    """Show a report of each vehicle; returns whether all is well."""
+    reports = {
+        name: {
+            "ok": not no_router and all(part["status"] == OK for part in parts.values()),
+            "ceased": bool(_knowing(parts)),
+            "parts": parts,
+        }
+        for name, parts in vehicles.items()
+    }
+    well = all(report["ok"] for report in reports.values())
     if args.json:
+        namespace, first = next(iter(reports.items()))
         print(
             json.dumps(
                 {
                     "ok": well,
-                    "namespace": args.namespace,
+                    "namespace": namespace,
                     "router": {"endpoint": args.connect, "status": MISSING if no_router else OK},
-                    "ceased": bool(_knowing(parts)),
-                    "parts": parts,
+                    "ceased": first["ceased"],
+                    "parts": first["parts"],
+                    "vehicles": reports,
                 }
             ),
             flush=True,
         )
     else:
-        told = _table(args, no_router, parts)
+        told = Group(*(_table(args, no_router, name, parts) for name, parts in vehicles.items()))
         if shown:
             shown.update(told, refresh=True)
         else:
@@ -200,7 +242,9 @@ def _show(
     return well
 
 
-def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, Any]]) -> Group:
+def _table(
+    args: argparse.Namespace, no_router: str, namespace: str, parts: dict[str, dict[str, Any]]
+) -> Group:
     verdicts = [MISSING if no_router else OK, *(part["status"] for part in parts.values())]
     told = [{}, *(part if "state" in part else {} for part in parts.values())]
 
@@ -233,7 +277,7 @@ def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, 
     knowing = _knowing(parts)
     below = [f"the search has ceased, say {', '.join(knowing)}"] if knowing else []
     below += [line for name, part in parts.items() for line in _troubles(name, part)]
-    return table(columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], below)
+    return table(columns, width_of(sys.stdout), "--json", [f"{namespace} at {args.connect}"], below)
 
 
 def _knowing(parts: dict[str, dict[str, Any]]) -> list[str]:

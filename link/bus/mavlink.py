@@ -51,9 +51,10 @@ class Reading(NamedTuple):
         gas: In the sensor's unit: g/m³, or a count of hits.
         vehicle: Which vehicle of a fleet took it, from 1.
 
-    Example:
-        `Reading(0, (2.0, 3.5), 5.0, (1.5, 0.0), 0.42)`: 0.42 g/m³ at (2, 3.5) m, 5 m up, in a wind of 1.5
-        m/s from the east.
+    Examples:
+        >>> reading = plumeward.Reading(0, (2.0, 3.5), 5.0, (1.5, 0.0), 0.42)  # the wind comes from the east
+        >>> reading.gas
+        0.42
     """
 
     time_boot_ms: int

@@ -30,7 +30,16 @@ Particles = NDArray[np.float32]
 
 
 class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The posterior after one reading, and the model parameters that a planner needs."""
+    """The posterior after one reading, and the model parameters that a planner needs.
+
+    Examples:
+        >>> config = plumeward.Config(rate=250.0, diffusivity=3.0)
+        >>> reading = plumeward.Reading(0, (8.0, 9.0), 5.0, (1.5, -0.5), 1.3)
+        >>> posterior = plumeward.assimilate(plumeward.prior(config), reading, config)
+        >>> said, _ = plumeward.belief(posterior, reading, config)
+        >>> said.step, said.position, said.unknowns
+        (0, (8.0, 9.0), ('x', 'y'))
+    """
 
     time_boot_ms: TimeBootMs
     step: Step

@@ -35,6 +35,7 @@ from link.bus.standby import Standby
 from link.bus.tally import REPEATED, Tally
 
 MOST_REASON = 300  # longest reason that is logged, characters: a reason may quote a stranger's message
+LONGEST_NAMESPACE = 200  # characters of a vehicle's key prefix
 HEALTH_EVERY_S = 1.0  # longest time between two health messages, also of an idle service
 # Waits are cut into slices of this length: the system may deliver a signal to one of Zenoh's threads, which
 # does not wake ours.
@@ -303,6 +304,20 @@ class Bus:
             name
             for reply in self._session.liveliness().get(HEALTH.named())
             if reply.ok is not None and self._names.admits(name := service_of(reply.ok.key_expr))
+        }
+
+    def vehicles(self) -> set[str]:
+        """Return the namespaces in which services are present; only without a namespace of our own."""
+        tokens = HEALTH.named()
+        return {
+            namespace
+            for reply in self._session.liveliness().get(f"**/{tokens}")
+            if reply.ok is not None
+            and (namespace := str(reply.ok.key_expr).rpartition(f"/{tokens.partition('*')[0]}")[0])
+            # A token of a pattern of keys is no vehicle, and strangers may choose any name.
+            and not set(namespace) & set("*$")
+            and namespace.isprintable()
+            and len(namespace) <= LONGEST_NAMESPACE
         }
 
     @property

@@ -79,6 +79,11 @@ class Recording(NamedTuple):
         complete: False if the file is truncated or damaged, or if recording stopped early; in the latter
             case about["stopped"] gives the reason.
         damage: The places that are left out because they cannot be read.
+
+    Examples:
+        >>> recording = plumeward.read_record("runs/NAME.mcap")
+        >>> recording.about["policy"], recording.complete
+        ('homing', True)
     """
 
     about: dict[str, Any]
@@ -128,12 +133,12 @@ def read(path: Path | str) -> Recording:
     Raises RecordError if the file is not a log of ours, its format is unknown, or it holds more than
     LARGEST_RECORD or MOST_RATIO allow.
 
-    Example:
-        ```python
-        recording = plumeward.read_record("runs/NAME.mcap")
-        beliefs = [json.loads(entry.payload) for entry in recording.entries if entry.key == "belief"]
-        [said["spread"] for said in beliefs]  # m, after each reading
-        ```
+    Examples:
+        >>> import json
+        >>> recording = plumeward.read_record("runs/NAME.mcap")
+        >>> beliefs = [json.loads(entry.payload) for entry in recording.entries if entry.key == "belief"]
+        >>> beliefs[-1]["spread"] < 0.5  # m, after the last reading
+        True
     """
     log, entries, held = LogFile(Path(path)), [], 0
     for entry in log:

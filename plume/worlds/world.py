@@ -38,11 +38,10 @@ class World:
     `wind` is the wind as told, (u cos φ, u sin φ) in m/s, and points to where it comes from; `start` is
     where the search begins, (x, y) in metres.
 
-    Example:
-        ```python
-        world = plumeward.World(plumeward.draw(7), seed=7)
-        world.gas((12.0, 15.0), step=0)  # the first reading, g/m³
-        ```
+    Examples:
+        >>> world = plumeward.World(plumeward.draw(7), seed=7)
+        >>> round(world.gas((12.0, 15.0), step=0), 2)  # the first reading, g/m³
+        0.51
     """
 
     def __init__(

@@ -9,7 +9,7 @@ from link.bus.messages import Belief, Particles
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import Sensor, parse
 from plume.sensors.sensor import Hits, Threshold
-from scene.scene import Floats, Gauge, Measurement, Scatter
+from scene.scene import Floats, Gauge, Measurement, Point, Scatter
 
 SHARE = 0.95  # of the belief, within the radius that people are told
 NOISE = 2.0  # standard deviations in clean air that count as noise: 98% of its readings are less
@@ -17,8 +17,11 @@ STEPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # edges of a gauge, by its least
 FALLING = (0.7, 0.5, 0.3, 0.2)  # edges of one that falls, by clean air's reading
 
 
-def measured(said: Belief, cloud: Particles | None, time_s: float) -> Measurement:
-    """Return a reading and its belief, with particles (N, D + 1) or without, at a simulation time."""
+def measured(said: Belief, cloud: Particles | None, time_s: float, wind: Point | None = None) -> Measurement:
+    """Return a reading and its belief, with particles (N, D + 1) or without, at a simulation time.
+
+    wind: as it was measured with the reading.
+    """
     rate = None
     if cloud is not None and "q" in said.unknowns:
         low, middle, high = quantiles(cloud[:, said.unknowns.index("q")], cloud[:, -1], (0.05, 0.5, 0.95))
@@ -41,6 +44,7 @@ def measured(said: Belief, cloud: Particles | None, time_s: float) -> Measuremen
         evidence=said.evidence,
         effective_sample_size=said.effective_sample_size,
         outside=said.outside,
+        measured_wind=wind,
     )
 
 

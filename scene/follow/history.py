@@ -202,7 +202,7 @@ class History:
         if last is not None and said.step <= last.step:
             return False  # repeated
         cloud = _cloud(said, attachment) if attachment else None
-        self.measurements.add(time_s, measured(said, cloud, time_s))
+        self.measurements.add(time_s, measured(said, cloud, time_s, self._winds.at()))
         self._stop, self._assume, self._gauge = said.stop, said.assume, gauge_of(said.sensor)
         if attachment:
             self._scatters.add(time_s, None if cloud is None else scatter(said, cloud))

@@ -13,7 +13,7 @@ from link.bus.mavlink import Codec, gas_message
 from plume import __version__
 from plume.sensors.names import KINDS, Sensor, parse
 from plume.worlds import errors
-from plumeward.commands import COMMANDS, GROUPS, main
+from plumeward.commands import COMMANDS, GROUPS, KNOWN, main
 
 ROOT = Path(__file__).parents[2]
 MISSIONS = {path.stem: path.read_text() for path in (ROOT / "missions").glob("*.yaml")}
@@ -62,6 +62,18 @@ def test_help_loads_nothing_that_takes_long(tmp_path: Path, command: str) -> Non
     assert (ran.returncode, ran.stderr) == (0, "")
     assert ran.stdout.startswith(f"usage: {' '.join(words[:-1])} ")
     assert ran.stdout.endswith("loaded []\n")
+
+
+def test_the_help_groups_the_commands_by_what_people_want() -> None:
+    assert list(GROUPS) == [
+        "Fly a mission",
+        "Look while it flies",
+        "Analyse a flight",
+        "Do research",
+        "Operate parts by themselves",
+    ]
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(KNOWN)
+    assert GROUPS["Fly a mission"][0] == "fly"
 
 
 def test_the_commands_own_help_loads_not_even_the_bus(tmp_path: Path) -> None:

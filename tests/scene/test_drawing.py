@@ -193,3 +193,38 @@ def test_an_absurd_estimate_leaves_the_area_in_sight() -> None:
     wide = blank(scene(), steps=4).show(replace(scene(), measurements=[*TAKEN, absurd]))
     assert wide.map.get_xlim() == (-60, 90)
     assert wide.pixels().shape[2] == 3
+
+
+def in_wind(*winds: tuple[float, float]) -> Scene:
+    """A scene with a reading in each of these winds."""
+    taken = [
+        replace(TAKEN[0], step=step, position=(4.0 + step, 5.0), measured_wind=wind)
+        for step, wind in enumerate(winds)
+    ]
+    return replace(scene(), measurements=taken)
+
+
+def test_where_the_wind_turned_is_marked_once_it_has_and_nowhere_in_a_steady_wind(tmp_path: Path) -> None:
+    from matplotlib.patches import FancyArrowPatch
+
+    east, north = (2.0, 0.0), (0.0, 2.0)
+    turned = in_wind(*[east] * 5, *[north] * 4)
+    drawing = blank(turned, steps=9).show(turned)
+    arrows = [arrow for arrow in drawing.map.findobj(FancyArrowPatch) if arrow.get_visible()]
+    tails = [arrow.get_path().vertices[0].tolist() for arrow in arrows]
+    heads = [arrow.get_path().vertices[2] - arrow.get_path().vertices[0] for arrow in arrows]
+    assert tails == [pytest.approx([9.0, 5.0])] * 2
+    west, south = heads  # air flows to the west, then to the south
+    assert west == pytest.approx([-np.hypot(*west), 0.0], abs=0.01)
+    assert south == pytest.approx([0.0, -np.hypot(*south)], abs=0.01)
+    assert [line.get_xdata() for line in drawing.gas.lines if line.get_linestyle() == ":"] == [[5, 5]]
+    assert any(text.get_text().startswith("wind turns") for text in drawing.figure.legends[0].get_texts())
+    before = replace(turned, measurements=turned.measurements[:5])
+    assert not [it for it in drawing.show(before).map.findobj(FancyArrowPatch) if it.get_visible()]
+
+    steady = in_wind(*[east] * 9)
+    marked, plain = tmp_path / "steady.svg", tmp_path / "unknown.svg"
+    blank(steady, beliefs=[steady]).show(steady).save(marked, "svg")
+    unknown = replace(steady, measurements=[replace(it, measured_wind=None) for it in steady.measurements])
+    blank(unknown, beliefs=[unknown]).show(unknown).save(plain, "svg")
+    assert marked.read_bytes() == plain.read_bytes()

@@ -6,7 +6,7 @@ import pytest
 
 from plume.dispersion import concentration
 from plume.problem import AREA
-from scene.scene import Backdrop, Release, Scene, ellipse, judged
+from scene.scene import Backdrop, Measurement, Release, Scene, ellipse, judged, turns
 
 
 def test_the_ellipse_of_a_turned_covariance_has_two_standard_deviations_as_half_axes() -> None:
@@ -54,3 +54,53 @@ def test_a_stop_outside_the_area_says_so_and_one_near_either_source_is_right() -
     assert judged(40, (20.5, 5.0), 0.4, 0.0, two).verdict == "located"
     single = [Release(place, (2.0, 0.0), q=300.0, d=2.0, tau=10.0) for place in two.sources]
     assert two.gas(AREA, 12) == pytest.approx(sum(each.gas(AREA, 12) for each in single), rel=1e-5)
+
+
+def in_winds(*from_deg: float, speed_mps: float = 2.0) -> list[Measurement]:
+    """Readings in winds from these directions, ccw from east."""
+    return [
+        Measurement(
+            step,
+            float(step),
+            (float(step), 0.0),
+            0.0,
+            1.0,
+            (0.0, 0.0),
+            (1.0, 0.0, 1.0),
+            measured_wind=(
+                speed_mps * math.cos(math.radians(degrees)),
+                speed_mps * math.sin(math.radians(degrees)),
+            ),
+        )
+        for step, degrees in enumerate(from_deg)
+    ]
+
+
+def test_a_turn_of_the_wind_is_where_it_turns_with_both_winds() -> None:
+    (turn,) = turns(in_winds(*[10] * 6, *[100] * 5))
+    assert (turn.step, turn.place) == (6, (6.0, 0.0))
+    assert turn.degrees == pytest.approx(90)
+    assert math.degrees(math.atan2(turn.before[1], turn.before[0])) == pytest.approx(10)
+    assert math.degrees(math.atan2(turn.after[1], turn.after[0])) == pytest.approx(100)
+
+
+def test_each_of_two_turns_is_told_also_through_south() -> None:
+    first, second = turns(in_winds(*[170] * 5, *[-150] * 6, *[90] * 5))
+    assert (first.step, second.step) == (5, 11)
+    assert first.degrees == pytest.approx(40)
+    assert second.degrees == pytest.approx(120)
+
+
+@pytest.mark.parametrize(
+    "winds",
+    [
+        in_winds(*[10] * 12),
+        in_winds(*[0, 20] * 6),  # gusty, around one direction
+        in_winds(*[10] * 6, 60, *[10] * 6),  # one gust
+        in_winds(*[10] * 6, *[100] * 2),  # has not lasted yet
+        in_winds(*[10] * 6, *[100] * 6, speed_mps=0.3),  # too weak to have a direction
+        in_winds(),
+    ],
+)
+def test_a_steady_wind_has_no_turn(winds: list[Measurement]) -> None:
+    assert turns(winds) == []

@@ -177,9 +177,11 @@ def test_results_go_to_stdout_unless_json_does_and_no_line_wraps_at_60_columns(
     in_vain: Flight, to_the_stop: Flight
 ) -> None:
     found = next(i for i, line in enumerate(to_the_stop.err) if line.startswith("located"))
+    sentence = next(i for i, line in enumerate(to_the_stop.err) if line.startswith("A source was found"))
+    assert to_the_stop.err[sentence + 1 :] == ["findings found/findings.html\n"]
     for mission, results, progress, verdict in (
         (in_vain, in_vain.out, in_vain.err, "not"),
-        (to_the_stop, to_the_stop.err[found:], to_the_stop.err[:found], "located"),
+        (to_the_stop, to_the_stop.err[found:sentence], to_the_stop.err[:found], "located"),
     ):
         gas = ["gas"] if any(line.startswith("assumed  field") for line in results) else []
         assert [line.split()[0] for line in results] == [

@@ -140,7 +140,7 @@ def test_an_install_needs_no_torch_but_with_the_extra_that_trains(wheel: Path) -
         extras[
             next((extra for extra in extras if extra and f'extra == "{extra}"' in str(requirement)), "")
         ].add(requirement.name)
-    learning = {"torch", "stable-baselines3", "gymnasium", "onnx", "tensorboard"}
+    learning = {"torch", "stable-baselines3", "gymnasium", "onnx", "pettingzoo", "tensorboard"}
     assert extras["train"] == learning
     assert extras["view"] == {"matplotlib", "pillow"}
     assert extras["ray"] == {"ray"}

@@ -140,6 +140,24 @@ def test_the_table_names_parts_verdicts_and_figures(
     assert rows["agent"][2:4] == ["ready:", "homing"]
 
 
+def test_every_vehicle_on_the_router_is_shown_and_one_that_is_not_well_is_status_1(
+    router: str, stack: dict[str, Any], status: Status, table: Callable
+) -> None:
+    with Bus("agent", router, "uav/10") as other:
+        other.publish_health()
+        parts = ("--parts", "agent")
+        code, report = status(router, *parts)
+        assert (code, report["ok"], report["namespace"]) == (1, False, "uav/1")
+        assert list(report["vehicles"]) == ["uav/1", "uav/10"]
+        assert report["parts"] == report["vehicles"]["uav/1"]["parts"]
+        assert verdicts(report["vehicles"]["uav/1"]) == {"agent": "ok"}
+        assert verdicts(report["vehicles"]["uav/10"]) == {"agent": "stale"}
+        lines = table(router, *parts)[1]
+        assert [line.split()[0] for line in lines if " at tcp/" in line] == ["uav/1", "uav/10"]
+        code, report = status(router, *parts, "--namespace", "uav/1")
+        assert (code, list(report["vehicles"])) == (0, ["uav/1"])
+
+
 def test_status_and_every_part_say_that_the_search_has_ceased(
     start, wait_until: Callable, tmp_path: Path, status: Status, table: Callable
 ) -> None:

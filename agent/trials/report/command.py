@@ -119,14 +119,16 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
 
     curves = (
         "Bars: 95% intervals, Wilson's for ceased, bootstrap for MTD and ST. Points are shifted sideways so "
-        "that none hides another. The"
-        " scale of ceased is stretched towards 100%. Dashed: the mean information floor. Hollow: the paper. "
-        "MTD and ST are means over"
-        " ceased missions. Made by `plumeward report`."
+        "that none hides another. The scale of ceased is stretched towards 100%."
+    )
+    bars = "Thin lines: 95% intervals, Wilson's for ceased, bootstrap for MTD and ST."
+    for_both = (
+        "Dashed: the mean information floor. Hollow: the paper. MTD and ST are means over ceased missions. "
+        "Made by `plumeward report`."
     )
     hidden = len(results.policies) - len(drawing.compared(results.policies))
     if hidden:
-        curves += f" {hidden} more policies are in the tables."
+        for_both += f" {hidden} more policies are in the tables."
     for name, title, axis, at in (
         ("particles", "Figures by number of particles", "particles", f"ζ = {results.threshold_m:g} m"),
         ("thresholds", "Figures by threshold ζ", "threshold_m", f"N = {results.particles:,}"),
@@ -135,7 +137,8 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
         yield (
             name,
             title,
-            f"{at}, assume {results.assume}; {behind}. {curves}",
+            f"{at}, assume {results.assume}; {behind}. {bars if results.is_one_along(axis) else curves} "
+            f"{for_both}",
             drawing.against(results, axis),
         )
     setting = results.nearest(USUAL)

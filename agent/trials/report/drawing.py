@@ -55,6 +55,7 @@ PATHS = (("position", "UAV", COLOURS[0]), ("mean", "belief mean", COLOURS[1]))
 # (label, scale, form of its numbers, degrees by which they are turned).
 AXES = {"particles": ("particles", "log", "{:,.0f}", 45), "threshold_m": ("ζ, m", "linear", "{:g}", 0)}
 LAST_STEPS = 10
+BEHIND = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5}  # a figure on a bar
 APART_IN = 0.025  # distance between the points of two policies at one setting
 LEAST_DISTANCE_M = 0.05  # shorter distances are drawn at this value
 
@@ -71,8 +72,10 @@ def compared(policies: Sequence[str]) -> list[str]:
 def against(results: Results, axis: str) -> Figure:
     """Ceased, MTD and ST against `particles` or `threshold_m`: a curve for each policy.
 
-    The paper's figures are hollow.
+    Of one setting alone there are no curves: bars. The paper's figures are hollow.
     """
+    if results.is_one_along(axis):
+        return of_one_setting(results, axis)
     label, scale, form, turned = AXES[axis]
     x_of, keys = attrgetter(axis), results.along(axis)
     figure = Figure(figsize=(WIDTH_IN, 4.8), layout="constrained")
@@ -136,6 +139,55 @@ def against(results: Results, axis: str) -> Figure:
     }
     order = [*policies, *(label for label in entries if label not in policies)]
     figure.legend([entries[label] for label in order], order, loc="outside lower center", ncols=4)
+    return figure
+
+
+def of_one_setting(results: Results, axis: str) -> Figure:
+    """Ceased, MTD and ST of one setting: a bar for each policy, with its interval and its figure."""
+    keys = results.along(axis)
+    setting = keys[0][1]
+    policies = [policy for policy in compared(results.policies) if (policy, setting) in keys]
+    figure = Figure(figsize=(WIDTH_IN, 1.6 + 0.42 * len(policies)), layout="constrained")
+    labels: dict[str, Any] = {}
+    for ax, (name, of, factor) in zip(figure.subplots(1, 3, sharey=True), PANELS, strict=True):
+        ax.set(xlabel=of, ylim=(len(policies) - 0.4, -0.6))  # the first one is on top
+        for place, policy in enumerate(policies):
+            said = results.figures[policy, setting]
+            if said[name] is None:
+                continue
+            value, low, high = (factor * it for it in (said[name], *said[f"{name}_interval"]))
+            colour, _ = LOOKS.get(policy, OTHER_LOOK)
+            ax.barh(place, value, height=0.62, color=colour, alpha=0.75)
+            ax.errorbar(
+                value, place, xerr=[[max(value - low, 0)], [max(high - value, 0)]], color=INK, capsize=3
+            )
+            ax.annotate(
+                f"{value:.3g}",
+                (0, place),
+                (4, 0),
+                textcoords="offset points",
+                va="center",
+                size=9,
+                bbox=BEHIND,
+            )
+        for it in PUBLISHED:
+            if it.figure == name and it.policy in policies and attrgetter(axis)(it) == getattr(setting, axis):
+                colour, marker = LOOKS[it.policy]
+                style = {"color": colour, "marker": marker, "markersize": 9, "markerfacecolor": "white"}
+                (point,) = ax.plot(
+                    factor * it.value, policies.index(it.policy), linestyle="none", zorder=5, **style
+                )
+                labels[f"paper: {it.method}"] = point
+        ax.set_xlim(0, 100 if name == "ceased" else None)
+        ax.grid(visible=False, axis="y")
+        ax.set_yticks(range(len(policies)), policies)
+    floor_m = results.floor_m(setting.threshold_m)
+    if floor_m is not None:
+        labels["information floor"] = figure.axes[1].axvline(
+            floor_m, color="black", linestyle="--", linewidth=1.2
+        )
+    if labels:
+        figure.legend(list(labels.values()), list(labels), loc="outside lower center", ncols=4)
     return figure
 
 

@@ -58,6 +58,10 @@ class Results:
         fixed = "threshold_m" if axis == "particles" else "particles"
         return [key for key in self.rows if getattr(key[1], fixed) == getattr(self, fixed)]
 
+    def is_one_along(self, axis: str) -> bool:
+        """Whether all keys along `particles` or `threshold_m` are of one setting."""
+        return len({setting for _, setting in self.along(axis)}) == 1
+
     def nearest(self, wanted: Setting) -> Setting:
         """Return the setting flown that is nearest to `wanted`, first in N, then in ζ."""
         return min(

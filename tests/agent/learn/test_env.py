@@ -446,7 +446,6 @@ def test_gymnasiums_wrappers_of_many_count_missions_right() -> None:
         ),
         ({"observation": ["polar"]}, "observation ['polar'] is not allowed; wanted paper or polar"),
         ({"budget": True}, "budget True is not allowed; wanted a whole number from 1"),
-        ({"budget": None}, "budget None is not allowed; wanted a whole number from 1"),
         ({"continuous": "no"}, "continuous 'no' is not allowed; wanted True or False"),
     ],
 )

@@ -235,6 +235,19 @@ def test_curves_are_of_the_policies_compared_and_the_papers_points_of_theirs(
     assert shown == {*drawing.FIVE, "paper: AGDC-PPO", "paper: Infotaxis", "information floor"}
 
 
+def test_of_one_setting_each_policy_has_a_bar_as_long_as_its_figure(tmp_path: Path, drawing: Any) -> None:
+    rows = FOUR + [flown(1_000_000 + i, policy="homing", distance_m=25.0 + i) for i in range(3)]
+    results = results_of(tmp_path, rows)
+    ceased, mtd, st = drawing.against(results, "particles").axes
+    assert [text.get_text() for text in ceased.get_yticklabels()] == ["greedy", "homing"]
+    for panel, lengths in ((ceased, [75, 100]), (mtd, [40, 26]), (st, [0.5, 0.5])):
+        assert [bar.get_width() for bar in panel.patches] == pytest.approx(lengths)
+        assert panel.get_xlim()[0] == 0
+    assert ceased.get_xlim()[1] == 100
+    several = [*rows, *(msgspec.structs.replace(row, particles=200) for row in rows)]
+    assert not drawing.against(results_of(tmp_path, several), "particles").axes[0].patches
+
+
 def test_each_panel_has_the_path_of_its_mission_and_the_last_one_the_legend(drawing: Any) -> None:
     scenario = Scenario(source=(10.0, 12.0), q=100.0, u=1.0, phi=0.0, d=1.0, tau=1.0, start=(0.0, 10.0))
 
