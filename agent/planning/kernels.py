@@ -272,12 +272,13 @@ def shortest_ways(
 
     sides: (S, 4), x and y of both ends, by polygon; owners: (S,) the first side of each one's polygon.
     corners: (C, 2).  between: (C, C) m, lengths of ways between them. A way stays further than the clearance
-    from polygons; if the goal does not, its last leg crosses no side. Without any way it is the straight
-    distance.
+    from polygons; where the goal or all ways to it do not, the last leg crosses no side. Without any way it
+    is the straight distance.
     """
     result, near = np.empty((len(places), goals.shape[1])), np.empty(len(sides), np.bool_)
     to_corners = _to_corners(places, sides, corners, between, clearance_m)
-    last = np.empty(len(corners))  # m of the leg from each corner; below 0: not known yet
+    last = np.empty((2, len(corners)))  # m of the leg from each corner, by attempt; below 0: not known yet
+    everything = np.ones(len(sides), np.bool_)
     for n in range(goals.shape[1]):
         goal_x, goal_y = goals[0, n], goals[1, n]
         near[:] = False
@@ -291,16 +292,23 @@ def shortest_ways(
         for a in range(len(places)):
             x, y = places[a]
             east, north = goal_x - x, goal_y - y
-            direct = math.sqrt(east * east + north * north)
-            best = direct if _is_open(x, y, goal_x, goal_y, sides, clearance_m, near) else np.inf
-            for c in range(len(corners) if best == np.inf else 0):
-                if to_corners[a, c] >= best:
-                    continue
-                if last[c] < 0.0:
-                    x, y = corners[c]
-                    east, north = goal_x - x, goal_y - y
-                    seen = _is_open(x, y, goal_x, goal_y, sides, clearance_m, near)
-                    last[c] = math.sqrt(east * east + north * north) if seen else np.inf
-                best = min(best, to_corners[a, c] + last[c])
-            result[a, n] = best if best < np.inf else direct
+            best = np.inf
+            for attempt in range(2):  # the second one for goals between polygons, which all legs come near
+                allowed = near if attempt == 0 else everything
+                if best < np.inf:
+                    break
+                if _is_open(x, y, goal_x, goal_y, sides, clearance_m, allowed):
+                    best = math.sqrt(east * east + north * north)
+                    break
+                for c in range(len(corners)):
+                    if to_corners[a, c] >= best:
+                        continue
+                    if last[attempt, c] < 0.0:
+                        off_x, off_y = goal_x - corners[c, 0], goal_y - corners[c, 1]
+                        seen = _is_open(
+                            corners[c, 0], corners[c, 1], goal_x, goal_y, sides, clearance_m, allowed
+                        )
+                        last[attempt, c] = math.sqrt(off_x * off_x + off_y * off_y) if seen else np.inf
+                    best = min(best, to_corners[a, c] + last[attempt, c])
+            result[a, n] = best if best < np.inf else math.sqrt(east * east + north * north)
     return result

@@ -28,7 +28,7 @@ LatLon = tuple[float, float]
 Ring = Sequence[LatLon]
 
 
-class Fence(NamedTuple):
+class GroundFence(NamedTuple):
     """What a file says; latitudes and longitudes in degrees."""
 
     home: LatLon
@@ -106,7 +106,7 @@ def _lat_lon(where: str, lat: Any, lon: Any) -> LatLon:
     return float(lat), float(lon)
 
 
-def _fence(shapes: Sequence[Shape]) -> Fence:
+def _fence(shapes: Sequence[Shape]) -> GroundFence:
     """Return the fence of named polygons and a point `home`. Raises ValueError."""
     homes = [shape.point for shape in shapes if shape.point and shape.name.strip().lower() == "home"]
     if len(homes) != 1:
@@ -122,10 +122,10 @@ def _fence(shapes: Sequence[Shape]) -> Fence:
         )
     (home,), (within,) = homes, ins
     assert home
-    return Fence(home, within.rings[0], [*within.rings[1:], *(shape.rings[0] for shape in outs)])
+    return GroundFence(home, within.rings[0], [*within.rings[1:], *(shape.rings[0] for shape in outs)])
 
 
-def of_kml(text: str) -> Fence:
+def of_kml(text: str) -> GroundFence:
     """Read a KML document: placemarks with polygons, and one with a point named home. Raises ValueError."""
     if found := re.search(r"<!(?!--|\[CDATA\[)\w*", text):
         raise ValueError(f"{found[0]} is not allowed; wanted KML without a document type and entities")
@@ -180,7 +180,7 @@ def _ring(name: str, element: ElementTree.Element) -> Ring:
     return ring
 
 
-def of_geojson(text: str) -> Fence:
+def of_geojson(text: str) -> GroundFence:
     """Read GeoJSON (RFC 7946): features with polygons, and one with a point named home. Raises ValueError."""
     document = _json(text)
     features = document.get("features") if document.get("type") == "FeatureCollection" else None
@@ -219,7 +219,7 @@ def _position(where: str, place: Any) -> LatLon:
     return _lat_lon(where, place[1], place[0])
 
 
-def of_plan(text: str) -> Fence:
+def of_plan(text: str) -> GroundFence:
     """Read a plan of QGroundControl: the polygons of its fence, and its planned home. Raises ValueError."""
     document = _json(text)
     if document.get("fileType") != "Plan":
@@ -248,7 +248,7 @@ def of_plan(text: str) -> Fence:
         (ins if inclusion else outs).append([_lat_lon(where, lat, lon) for lat, lon, *_ in corners])
     if len(ins) != 1:
         raise ValueError(f"geoFence: {len(ins)} polygons with inclusion; wanted one")
-    return Fence(_lat_lon("mission.plannedHomePosition", *home[:2]), ins[0], outs)
+    return GroundFence(_lat_lon("mission.plannedHomePosition", *home[:2]), ins[0], outs)
 
 
 def _json(text: str) -> dict[str, Any]:
