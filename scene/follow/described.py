@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from plume.problem import PAPER, Problem
+from plume.problem import PAPER, Problem, in_area, square
 from plume.scenario import Scenario
 from plume.walls.buildings import read
 from scene.scene import Backdrop, Point, Release
@@ -57,6 +57,8 @@ def problem_of(about: dict[str, Any]) -> Problem:
     """Return the problem of a run; the paper's if its description does not tell."""
     with suppress(KeyError, msgspec.ValidationError):
         return msgspec.convert(about["problem"], Problem)
+    with suppress(KeyError, TypeError, ValueError):  # records of replays, before there were problems
+        return in_area(square(float(about["area_m"])))
     return PAPER
 
 

@@ -1,0 +1,41 @@
+"""Protects what is drawn of a run's own description: also of older ones, and of those that make no sense."""
+
+from typing import Any
+
+import pytest
+
+from plume.problem import AREA, Area, square
+from scene.follow.described import backdrop_of
+
+TOWER = ((4.0, 4.0), (8.0, 4.0), (8.0, 9.0))
+
+
+def test_the_area_and_what_to_keep_out_of_are_those_of_the_problem() -> None:
+    problem = {"area": {"low": [-20, 0], "high": [80, 50]}, "step_m": 2, "keep_out": [TOWER]}
+    backdrop, _ = backdrop_of({"problem": problem})
+    assert backdrop.area == Area((-20.0, 0.0), (80.0, 50.0))
+    assert [tuple(map(tuple, wall)) for wall in backdrop.walls] == [TOWER]
+
+
+def test_a_replay_that_was_kept_before_there_were_problems_has_its_area() -> None:
+    backdrop, _ = backdrop_of({"area_m": 55.0})
+    assert backdrop.area == square(55.0)
+
+
+@pytest.mark.parametrize(
+    "about",
+    [
+        {},
+        {"area_m": "wide"},
+        {"area_m": -3.0},
+        {"area_m": float("nan")},
+        {"area_m": [1]},
+        {"problem": {"area": 3}},
+    ],
+)
+def test_of_a_description_that_says_nothing_sound_the_area_is_that_of_the_paper(
+    about: dict[str, Any],
+) -> None:
+    backdrop, _ = backdrop_of(about)
+    assert backdrop.area == AREA
+    assert backdrop.walls == ()
