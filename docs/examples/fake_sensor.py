@@ -3,6 +3,7 @@
 import contextlib
 import os
 import random
+import signal
 import time
 import tty
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 NOISE = 0.02  # standard deviation, g/m³
 LINE = Path("gas-sensor")
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # also where a shell began it in the background
 ours, theirs = os.openpty()
 tty.setraw(theirs)
 LINE.unlink(missing_ok=True)

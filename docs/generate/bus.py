@@ -206,7 +206,7 @@ def _message(kind: type) -> str:
     lines = [
         f"### {kind.__name__}",
         "",
-        cleandoc(schema["description"]),
+        cleandoc(schema["description"]).partition("\n\nExample")[0],
         "",
         "| field | type | meaning |",
         "|---|---|---|",

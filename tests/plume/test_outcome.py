@@ -113,7 +113,7 @@ def test_the_json_has_the_fields_that_others_rely_on() -> None:
         "trace",
     }
     assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}
-    assert set(fields["trace"][0]) == {"position", "reading", "mean", "spread", "vehicle"}
+    assert set(fields["trace"][0]) == {"position", "reading", "mean", "spread"}
 
 
 @pytest.mark.parametrize(

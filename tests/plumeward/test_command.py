@@ -161,7 +161,7 @@ def test_too_few_open_files_are_told_in_one_line_with_what_to_set(
 
 WRONG = [
     (["flyy"], "plumeward: error: no command 'flyy'; did you mean 'fly'?"),
-    (["juggle"], "plumeward: error: no command 'juggle'; wanted fly, rollout, list, "),
+    (["juggle"], "plumeward: error: no command 'juggle'; wanted fly, list, view, status, "),
     (
         ["list", "mission"],
         "plumeward list: error: what: 'mission' is not allowed; did you mean 'missions'? Wanted missions, "
