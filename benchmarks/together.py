@@ -36,7 +36,7 @@ from plume.randomness import derived_seed
 from plume.scenario import BUDGET_STEPS, draw
 from plume.worlds.world import World
 
-ROWS = Path("results/together.csv")
+ROWS = Path("results/together/missions.csv")
 MOST = 4
 
 

@@ -29,7 +29,8 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
     if page.evaluation:
         return
     settings = Settings(**page.training["env"])
-    stop = replace(settings, threshold_m=USUAL_THRESHOLD_M).criterion  # what it is flown with
+    settings = replace(settings, threshold_m=USUAL_THRESHOLD_M, budget=None)  # what it is flown with
+    stop = settings.criterion
     sweep = Sweep(
         [str(bundle)],
         range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios),
