@@ -49,7 +49,7 @@ async def _write(record: Path, folder: Path) -> str:
         async with asyncio.timeout(LONGEST_S):
             _, said = await part.communicate()
     except TimeoutError:
-        return f"they took longer than {LONGEST_S:g} s; `plumeward findings {record}` goes on"
+        return f"they took longer than {LONGEST_S:g} s; `plumeward findings` has no such limit"
     finally:
         with contextlib.suppress(ProcessLookupError):
             part.kill()
