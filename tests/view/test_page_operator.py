@@ -70,6 +70,15 @@ def test_the_mouse_moves_the_map_and_keys_do_both(window: Window) -> None:
     assert at(window, 6.0, 12.0) == pytest.approx((x, y), abs=1.5)
 
 
+def test_a_map_is_never_empty_while_its_window_changes(window: Window) -> None:
+    opaque = window.of(f"""new Promise((done) => {{
+        const {{ canvas }} = {MAP};
+        canvas.style.width = '60%';
+        new ResizeObserver(() => done(canvas.getContext('2d').getImageData(9, 9, 1, 1).data[3])).observe(canvas);
+    }})""")
+    assert opaque == 255
+
+
 def test_a_small_belief_is_seen_large_in_a_corner_and_fills_the_map_when_asked_for(
     stage: Stage, window: Window
 ) -> None:

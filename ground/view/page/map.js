@@ -22,7 +22,7 @@ export class WorldMap {
     this.plumeOf = null;
     this.picture = null; // {image, west, south, width, height}: m
     this.pointer = null;
-    new ResizeObserver(() => { this.resize(); changed(); }).observe(canvas);
+    new ResizeObserver(() => { this.resize(); if (this.model) this.draw(this.model, this.others); }).observe(canvas); // at once: a resized canvas is empty
     followHands(canvas, this.camera, { view: () => this.view, changed, tell: (...at) => { this.pointer = at[0] === null ? null : at; this.tell(); } });
     this.resize();
   }
@@ -40,7 +40,7 @@ export class WorldMap {
     const scene = model.scene;
     if (this.ratio !== (devicePixelRatio || 1)) this.resize();
     if (!this.width || !scene) return;
-    this.model = model;
+    Object.assign(this, { model, others });
     const view = this.view = this.camera.view(scene, others.map((other) => other.scene), this.width, this.height);
     const g = this.canvas.getContext("2d");
     g.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
