@@ -10,6 +10,7 @@ from link import cli
 from link.bus.session import Bus
 from plume.parameters import LIMITS
 from plume.problem import FARTHEST_M
+from plume.problems.fleet import MOST_VEHICLES, numbers
 from plume.problems.options import add_problem_argument, problem_of
 from plume.randomness import MAX_SEED
 
@@ -61,7 +62,16 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         "--sysid",
         type=cli.whole(1, 255),
         metavar="N",
-        help="the vehicle's system id (default: the first reading's)",
+        help="the vehicle's system id, of several that of the first, those of the others follow it (default: "
+        "the first reading's)",
+    )
+    parser.add_argument(
+        "--vehicles",
+        type=cli.whole(1, MOST_VEHICLES),
+        default=1,
+        metavar="N",
+        help="vehicles of a search, whose readings are one belief's; the namespace is then the search's, "
+        "search/1 (default: %(default)s)",
     )
     args = parser.parse_args(arguments)
     try:
@@ -86,9 +96,15 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         **known,
     )
     with Bus(
-        "estimator", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True
+        "estimator",
+        args.connect,
+        args.namespace,
+        log_level=args.log_level,
+        secure=args.secure,
+        sole=True,
+        vehicles=numbers(args.vehicles),
     ) as bus:
-        run(bus, config, args.sysid)
+        run(bus, config, [args.sysid and args.sysid + other for other in range(args.vehicles)])
 
 
 if __name__ == "__main__":

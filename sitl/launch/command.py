@@ -15,8 +15,9 @@ from aircraft.search.options import add_vehicle_url
 from link import cli
 from plume.outcome import outcome_text
 from plume.problem import Problem
+from plume.problems.options import add_fleet_arguments, fleet_given
 from sitl.launch.launcher import Flown, fly
-from sitl.launch.mission import Launch, RealVehicle, check_connect, check_payload
+from sitl.launch.mission import Launch, RealVehicle, check_connect, check_fleet, check_payload
 from sitl.launch.processes import MissionFailed
 from sitl.launch.recording import (
     RecordFiles,
@@ -107,6 +108,7 @@ def add_arguments(
         "--view", action="store_true", help="show the mission on a page, which stays open until it is closed"
     )
     parser.add_argument("--open", action="store_true", help="the same, and open it in a browser")
+    add_fleet_arguments(parser)
     add_vehicle_url(parser)
     add_payload_argument(parser, "with --vehicle, ")
     cli.add_output_guard(parser)
@@ -174,6 +176,11 @@ def _checked_script(args: argparse.Namespace) -> Script:
     script = script_for_vehicle(script, args)
     if args.vehicle:
         check_payload(script, args.payload)
+    try:
+        args.fleet = fleet_given(args, script.problem)
+    except ValueError as error:
+        raise cli.BadInput(str(error)) from None
+    check_fleet(script, args.fleet, args.given)
     return script
 
 
@@ -196,6 +203,7 @@ def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> La
         connect=args.connect,
         secure=args.secure,
         real=real,
+        fleet=args.fleet,
         record=record,
         log_level=args.log_level,
         patience_s=args.patience,

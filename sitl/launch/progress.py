@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from link.bus.messages import Belief
+from link.bus.messages import Belief, by_vehicle
 from link.terminal import broken
 
 PLAIN_EVERY_STEPS = 10
@@ -56,11 +56,11 @@ class Progress:
 
     def show(self, belief: Belief, distance_m: float) -> None:
         """Show how far the search is."""
-        (x, y), (mean_x, mean_y) = belief.position, belief.mean
+        (mean_x, mean_y), seen = belief.mean, by_vehicle(belief)
         fields = [
             f"step {belief.step:3d}/{self._budget}",
-            f"at ({x:5.2f}, {y:5.2f})",
-            f"gas {belief.gas:6.2f}",
+            "at " + " ".join("({:5.2f}, {:5.2f})".format(*each.position) for each in seen),
+            "gas " + " ".join(f"{each.gas:6.2f}" for each in seen),
             f"spread {belief.spread:5.2f} m",
             f"flown {distance_m:5.1f} m",
             f"estimate ({mean_x:5.2f}, {mean_y:5.2f})",

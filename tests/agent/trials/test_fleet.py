@@ -9,13 +9,13 @@ from itertools import combinations, pairwise
 import numpy as np
 import pytest
 
-from agent.trials.fleet import FORMATIONS, MOST_VEHICLES, Fleet
 from agent.trials.rollout import mission, rollout
 from agent.trials.sweep import Sweep, fly
 from estimator.filter import assimilate, prior
 from plume.outcome import TracePoint, outcome_text
 from plume.polygons.polygons import gaps
 from plume.problem import PAPER
+from plume.problems.fleet import FORMATIONS, MOST_VEHICLES, Fleet
 from plume.randomness import derived_seed
 from plume.scenario import draw
 from plume.sensors.names import parse
