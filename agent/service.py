@@ -60,7 +60,7 @@ def run(
 
     system: the vehicle's MAVLink system id; None: the one that its health tells, and 1 until then. Those
     of several come with the belief.
-    scripted: waypoints that replace the policy's, by the step of the belief they answer; of one vehicle alone.
+    scripted: waypoints of one vehicle that replace the policy's, by the step of the belief they answer.
     separation_m: the least distance between the ways of several vehicles, m.
     """
     policies.policy(policy)  # loads or compiles the policy before the first belief arrives

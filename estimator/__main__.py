@@ -10,7 +10,6 @@ from link import cli
 from link.bus.session import Bus
 from plume.parameters import LIMITS
 from plume.problem import FARTHEST_M
-from plume.problems.fleet import MOST_VEHICLES, numbers
 from plume.problems.options import add_problem_argument, problem_of
 from plume.randomness import MAX_SEED
 
@@ -65,14 +64,7 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         help="the vehicle's system id, of several that of the first, those of the others follow it (default: "
         "the first reading's)",
     )
-    parser.add_argument(
-        "--vehicles",
-        type=cli.whole(1, MOST_VEHICLES),
-        default=1,
-        metavar="N",
-        help="vehicles of a search, whose readings are one belief's; the namespace is then the search's, "
-        "search/1 (default: %(default)s)",
-    )
+    cli.add_vehicles_argument(parser)
     args = parser.parse_args(arguments)
     try:
         problem = problem_of(args)
@@ -102,7 +94,7 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         log_level=args.log_level,
         secure=args.secure,
         sole=True,
-        vehicles=numbers(args.vehicles),
+        vehicles=cli.numbers(args.vehicles),
     ) as bus:
         run(bus, config, [args.sysid and args.sysid + other for other in range(args.vehicles)])
 

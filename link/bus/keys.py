@@ -51,6 +51,17 @@ class Key:
         return name if vehicle is None else f"{OF_VEHICLE}{vehicle}/{name}"
 
 
+def vehicle_of(name: object) -> str:
+    """Return the number of the vehicle of a search whose key this is; empty if it is nobody's own."""
+    number, _, rest = str(name).removeprefix(OF_VEHICLE).partition("/")
+    return number if rest and str(name).startswith(OF_VEHICLE) and number.isdecimal() else ""
+
+
+def row_name(name: str) -> str:
+    """Return the name of a key without the vehicle of a search whose it is."""
+    return name.removeprefix(f"{OF_VEHICLE}{number}/") if (number := vehicle_of(name)) else name
+
+
 MAVLINK_OUT = Key(
     "mavlink/out",
     FRAMES,

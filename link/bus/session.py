@@ -16,7 +16,7 @@ import zenoh
 from link.access.identity import secured
 from link.access.roles import OF_ALL_VEHICLES
 from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Drops, Inbox, ServiceNames
-from link.bus.keys import HEALTH, KEYS, OF_A_VEHICLE, OF_VEHICLE, Key
+from link.bus.keys import HEALTH, KEYS, OF_A_VEHICLE, Key, vehicle_of
 from link.bus.log import Log
 from link.bus.messages import Health, Stop, stop_text
 from link.bus.opening import (
@@ -83,13 +83,6 @@ def most_waiting(key: Key) -> int:
 def service_of(name: object) -> str:
     """Return the service that the name of a key of HEALTH ends with."""
     return str(name).rpartition("/")[2]
-
-
-def vehicle_of(name: object) -> str:
-    """Return the number of the vehicle of a search whose key this is; empty if it is nobody's own."""
-    first, _, rest = str(name).partition("/")
-    number = rest.partition("/")[0]
-    return number if f"{first}/" == OF_VEHICLE and number.isdecimal() else ""
 
 
 def part_of(name: object) -> str:

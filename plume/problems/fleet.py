@@ -87,11 +87,6 @@ class Fleet:
 ALONE = Fleet()
 
 
-def numbers(vehicles: int) -> range:
-    """Return the numbers of the vehicles of a search, by which each has its keys; none of one alone."""
-    return range(1, vehicles + 1) if vehicles > 1 else range(0)
-
-
 def _drawn(fleet: Fleet, start: Place, seed: int, area: Area) -> list[Place]:
     if fleet.formation == "point":
         return _beside(start, PADS * fleet.separation_m, fleet.vehicles, area)

@@ -10,9 +10,9 @@ from typing import Any
 import msgspec
 
 from link.bus.frames import Frame
-from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT
+from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT, row_name, vehicle_of
 from link.bus.mavlink import Texts, continued, unpack_reading
-from link.bus.messages import Belief, Health, Particles, Stop, unpack_particles
+from link.bus.messages import Belief, Health, Particles, Stop, by_vehicle, unpack_particles
 from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
 from link.record.reader import Recording
@@ -40,12 +40,13 @@ from scene.scene import (
 )
 
 TRACK_STEP_M = 0.1  # the track gets a point when the vehicle has moved this far
+FIRST = "1"  # of several vehicles that search together, the one that is followed
 RESTART_MS = 1000  # a vehicle whose own time goes back by more was started again
 NOWHERE = math.nan, math.nan
 
 
 class History:
-    """What was said on the bus of one vehicle.
+    """What was said on the bus of one vehicle; of a search by several, it follows the first.
 
     A message that breaks the contract is left out: the services count and refuse it.
     """
@@ -125,6 +126,10 @@ class History:
 
         Returns whether it changes the scene.
         """
+        if number := vehicle_of(key):
+            if number != FIRST:
+                return False
+            key = row_name(key)
         self.time_s, self.wall_s = max(self.time_s, time_s), max(self.wall_s, wall_s)
         self._walls.add(time_s, wall_s)
         if self.own.learn(key, payload):
@@ -138,12 +143,13 @@ class History:
                     self._winds.add(time_s, unpack_reading(payload).wind)
                     return True
                 case BELIEF.name:
-                    return self._take_belief(msgspec.json.decode(payload, type=Belief), attachment, time_s)
+                    said = by_vehicle(msgspec.json.decode(payload, type=Belief))[0]
+                    return self._take_belief(said, attachment, time_s)
                 case STOP.name:
                     return self._take_stop(msgspec.json.decode(payload, type=Stop), time_s)
                 case WAYPOINT.name:
                     places = [place for _, said in frames(payload, {SETPOINT}) if (place := waypoint(said))]
-                    for place in places:
+                    for place in places[:1]:  # those of several vehicles are in their order
                         self.waypoints.add(time_s, place)
                     return bool(places)
                 case _ if key.startswith(HEALTH_PREFIX):

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from aircraft.payload.options import SIMULATED
-from link.cli import BadInput
+from link.cli import BadInput, numbers
 from plume.problem import PAPER
-from plume.problems.fleet import ALONE, Fleet, numbers
+from plume.problems.fleet import ALONE, Fleet
 from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, Scenario
 from sitl.launch.watchdog import PATIENCE_S

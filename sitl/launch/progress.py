@@ -57,14 +57,14 @@ class Progress:
     def show(self, belief: Belief, distance_m: float) -> None:
         """Show how far the search is."""
         (mean_x, mean_y), seen = belief.mean, by_vehicle(belief)
-        fields = [
-            f"step {belief.step:3d}/{self._budget}",
-            "at " + " ".join("({:5.2f}, {:5.2f})".format(*each.position) for each in seen),
-            "gas " + " ".join(f"{each.gas:6.2f}" for each in seen),
-            f"spread {belief.spread:5.2f} m",
-            f"flown {distance_m:5.1f} m",
-            f"estimate ({mean_x:5.2f}, {mean_y:5.2f})",
-        ]
+        step = f"step {belief.step:3d}/{self._budget}"
+        at = "at " + " ".join("({:5.2f}, {:5.2f})".format(*each.position) for each in seen)
+        gas = "gas " + " ".join(f"{each.gas:6.2f}" for each in seen)
+        spread, flown = f"spread {belief.spread:5.2f} m", f"flown {distance_m:5.1f} m"
+        estimate = f"estimate ({mean_x:5.2f}, {mean_y:5.2f})"
+        fields = [step, at, gas, spread, flown, estimate]
+        if len(seen) > 1:  # where they are is long
+            fields = [step, spread, flown, at, gas, estimate]
         if self._console.is_terminal:
             self._live.update(_line(fitting(fields, self._console.width)))
         elif belief.step % PLAIN_EVERY_STEPS == 0 or (belief.ceased and not self._ceased):

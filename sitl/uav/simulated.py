@@ -21,9 +21,10 @@ from link.bus.keys import MAVLINK_OUT, OF_VEHICLE, SEARCHERS
 from link.bus.mavlink import Codec, Message, unpack
 from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival
+from link.cli import numbers
 from link.modes import Mode
 from plume.flight import TRY_AGAIN_S, leg_s
-from plume.problems.fleet import ALONE, Fleet, Place, numbers
+from plume.problems.fleet import ALONE, Fleet, Place
 from plume.scenario import WorldError
 from plume.worlds.rounds import RoundTime
 from plume.worlds.world import World

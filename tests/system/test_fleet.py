@@ -1,0 +1,220 @@
+"""Protects a search by several vehicles on the bus: the same bits as in-process, one stop for all, and no
+process that stays behind.
+"""
+
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent.trials.rollout import rollout
+from link.bus.keys import BELIEF, HEALTH, STOP
+from link.bus.messages import Belief, Health, Stop, by_vehicle
+from link.bus.session import Bus, part_of
+from plume.randomness import derived_seed
+from plume.scenario import draw
+from tests.system.conftest import Part
+from tests.system.live import run_agent, run_sitl
+
+TO_THE_STOP = ("--vehicles", "2", "--from", "corners", "--seed", "4", "--particles", "300")
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., dict]:
+    """Roll a mission out in this process, with the same flags."""
+
+    def rolled(*flags: str) -> dict:
+        status, out, err = run_agent(monkeypatch, capsys, "rollout", *flags, "--json", "--trace")
+        assert status == 0, err
+        return without_times(json.loads(out[-1]))
+
+    return rolled
+
+
+def without_times(outcome: dict) -> dict:
+    assert outcome.pop("search_time_s") > 0  # the one field that is measured, not computed
+    return outcome
+
+
+def flown(start: type[Part], folder: Path, *flags: str) -> tuple[dict, str]:
+    """The outcome of a mission flown as processes, and what it said."""
+    part = start("sitl", "fly", *flags, "--no-record", "--json", "--trace", cwd=folder)
+    assert part.ended() == 0, part.err
+    return without_times(json.loads(part.out[-1])), "".join(part.err)
+
+
+def test_two_vehicles_find_a_source_together_as_in_process(
+    start: type[Part], tmp_path: Path, in_process: Callable
+) -> None:
+    bus, said = flown(start, tmp_path, *TO_THE_STOP, "--speedup", "0")
+    assert bus == in_process(*TO_THE_STOP)
+    assert bus["located"]
+    assert {point.get("vehicle", 1) for point in bus["trace"]} == {1, 2}
+    assert len(bus["trace"]) == 2 * (bus["steps"] + 1)
+    assert "2 vehicles from corners" in said
+    assert "returning home" in said
+
+
+def test_in_gas_that_moves_three_vehicles_on_the_clock_read_the_same_as_in_process(
+    start: type[Part], tmp_path: Path, in_process: Callable
+) -> None:
+    """The world's time is that of their rounds, whatever the speed-up; a lost reading is taken again."""
+    chosen = (
+        "--vehicles", "3", "--from", "point", "--separation", "2", "--seed", "6", "--particles", "100", "--budget",
+        "4", "--world", "puffs+readings-lost+wind-noisy", "--sensor", "pid:warmup=7.5", "--policy", "random",
+    )  # fmt: skip
+    bus, _ = flown(start, tmp_path, *chosen, "--speedup", "30", "-I", "4")
+    there = in_process(*chosen)
+    for each in (bus, there):  # -I moves home, and so the search, but changes nothing in it
+        assert each.pop("latitude_deg")
+        assert each.pop("longitude_deg")
+    assert bus == there
+
+
+@pytest.mark.parametrize(
+    ("flags", "reason"),
+    [
+        (("--vehicles", "0"), "'0' is not allowed; wanted a whole number from 1 to 8"),
+        (("--vehicles", "nine"), "'nine' is not allowed; wanted a whole number from 1 to 8"),
+        (
+            ("--vehicles", "2", "--from", "nowhere"),
+            "--from: 'nowhere' is not allowed; wanted point, edge or corners",
+        ),
+        (("--vehicles", "4", "--from", "edge", "--separation", "9"), "have room for 0 to 7.5 m"),
+        (("--vehicles", "2", "--connect", "tcp/127.0.0.1:1"), "--vehicles: not with --connect"),
+        (("--vehicles", "2", "--vehicle", "udpin:127.0.0.1:1"), "--vehicles: not with --vehicle"),
+        (("--vehicles", "2", "lawnmower"), "lawnmower, cannot happen: it is for one vehicle"),
+    ],
+)
+def test_a_fleet_that_cannot_fly_is_refused_in_one_line_before_anything_starts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], reason: str
+) -> None:
+    status, _, err = run_sitl(monkeypatch, capsys, "fly", *flags)
+    assert status == 2
+    assert reason in err[-1]
+
+
+def children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def has_ended(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def test_ctrl_c_ends_all_vehicles_and_leaves_nothing_behind(
+    start: type[Part], tmp_path: Path, wait_until: Callable
+) -> None:
+    part = start(
+        "sitl", "fly", "--vehicles", "2", "--policy", "random", "--speedup", "4", "--particles", "100", cwd=tmp_path
+    )  # fmt: skip
+    part.comes_to("step   0")
+    parts = children(part.process.pid)
+    assert len(parts) == 6  # router, recorder, estimator, agent and two vehicles
+    part.process.send_signal(signal.SIGINT)
+    assert part.ended() == 130
+    wait_until(lambda: all(map(has_ended, parts)))
+
+
+def test_a_vehicle_that_dies_is_named_and_ends_the_mission(start: type[Part], tmp_path: Path) -> None:
+    part = start(
+        "sitl", "fly", "--vehicles", "2", "--policy", "random", "--speedup", "4", "--particles", "100", "--no-record",
+        cwd=tmp_path,
+    )  # fmt: skip
+    part.comes_to("step   0")
+    for pid in children(part.process.pid):
+        words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+        if "--number" in words and words[words.index("--number") + 1] == "2":
+            os.kill(pid, signal.SIGKILL)
+    assert part.ended() == 1
+    assert "error: uav/2 was killed by signal 9" in part.err[-1]
+
+
+# ---- services that die ----
+
+SEED = 4
+SEARCH = ("--namespace", "search/1")
+
+
+class Watched:
+    """The beliefs of a search, as somebody hears them who looks on."""
+
+    def __init__(self, router: str) -> None:
+        self.bus = Bus("viewer", router, "search/1", announced=False, vehicles=(1, 2))
+        self.bus.subscribe(BELIEF, STOP, HEALTH)
+        self.points: dict[int, list[tuple]] = {}
+        self.stops: list[Stop] = []
+        self.states: dict[str, str] = {}
+        self.ceased = False
+
+    def take(self) -> int:
+        """Take what comes; returns the newest step."""
+        item: Any = self.bus.receive(400.0)
+        if item.key is BELIEF and (said := self.bus.decode(item, Belief)):
+            seen = [(each.position, each.gas, each.mean, each.spread) for each in by_vehicle(said)]
+            assert self.points.setdefault(said.step, seen) == seen  # a repeated belief is the same
+            self.ceased = said.ceased
+        elif item.key is STOP and (stop := self.bus.decode(item, Stop)):
+            self.stops.append(stop)
+        elif item.key is HEALTH and (health := self.bus.decode(item, Health)):
+            self.states[part_of(item.name)] = health.state
+        return max(self.points, default=-1)
+
+
+@pytest.fixture
+def watched(router: str) -> Iterator[Watched]:
+    looking_on = Watched(router)
+    with looking_on.bus:
+        yield looking_on
+
+
+def commands(router: str) -> dict[str, tuple[str, ...]]:
+    """What starts the parts of the search, without a launcher."""
+    truth = draw(SEED)
+    joining, fleet = ("-e", router, *SEARCH), ("--vehicles", "2", "--from", "corners")
+    return {
+        "estimator": (
+            "estimator", *joining, "--vehicles", "2", "--particles", "300", "--rate", repr(truth.q), "--diffusivity",
+            repr(truth.d), "--lifetime", repr(truth.tau), "--seed", str(derived_seed(SEED, "estimator")),
+        ),
+        "agent": ("agent", *joining, "--policy", "homing", "--seed", str(derived_seed(SEED, "agent"))),
+        **{
+            f"uav/{number}": (
+                "sitl", "uav", *joining, *fleet, "-I", str(number - 1), "--seed", str(SEED), "--speedup", "20"
+            )
+            for number in (1, 2)
+        },
+    }  # fmt: skip
+
+
+def undisturbed() -> list[list[tuple]]:
+    _, trace = rollout(SEED, "homing", 300, vehicles=2, formation="corners")
+    points = [(point.position, point.reading, point.mean, point.spread) for point in trace]
+    return [points[at : at + 2] for at in range(0, len(points), 2)]
+
+
+@pytest.mark.parametrize("victim", ["estimator", "agent"])
+def test_a_service_that_is_killed_and_started_again_goes_on_with_the_same_search(
+    start: type[Part], router: str, watched: Watched, wait_until: Callable, victim: str
+) -> None:
+    parts = commands(router)
+    running = {part: start(*words) for part, words in parts.items() if part != "uav/2"}
+    wait_until(lambda: watched.take() == -1 and watched.states.get("uav/1") == "standby")
+    start(*parts["uav/2"])  # who comes late is waited for, on the ground
+    killed = False
+    while not (watched.ceased and watched.stops):
+        if watched.take() >= 6 and not killed:
+            running[victim].kill()
+            start(*parts[victim])
+            killed = True
+    expected = undisturbed()
+    assert [watched.points[step] for step in sorted(watched.points)] == expected
+    assert watched.stops[0].estimate == expected[-1][0][2]
+    wait_until(lambda: watched.take() and [watched.states.get(f"uav/{n}") for n in (1, 2)] == ["landed"] * 2)
