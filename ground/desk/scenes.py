@@ -41,7 +41,7 @@ class RecordedScene:
 
     def _take(self, entry: Entry, stamp_ns: int) -> list[Encoded]:
         if number := vehicle_of(entry.key):
-            if number != FIRST:
+            if number != str(FIRST):
                 return []
             entry = entry._replace(key=row_name(entry.key))
         news = self._news(entry) if entry.key == MAVLINK_OUT.name else ()

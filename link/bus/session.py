@@ -5,7 +5,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeVar
@@ -16,7 +16,7 @@ import zenoh
 from link.access.identity import secured
 from link.access.roles import OF_ALL_VEHICLES
 from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Drops, Inbox, ServiceNames
-from link.bus.keys import HEALTH, KEYS, OF_A_VEHICLE, Key, vehicle_of
+from link.bus.keys import HEALTH, KEYS, OF_A_VEHICLE, OF_VEHICLE, Key, vehicle_of
 from link.bus.log import Log
 from link.bus.messages import Health, Stop, stop_text
 from link.bus.opening import (
@@ -93,6 +93,13 @@ def part_of(name: object) -> str:
 
 def _queue(put: Callable[[Any, int], None], arrival: Arrival) -> None:
     put(arrival, arrival.size)
+
+
+def search_of(namespace: str, services: Collection[str]) -> str:
+    """Return the namespace of the search of several whose vehicle has these services; else its own."""
+    search, _, number = namespace.rpartition(f"/{OF_VEHICLE}")
+    together = search and number.isdecimal() and OF_A_VEHICLE.issuperset(services)
+    return search if together else namespace
 
 
 class LivelinessChange(NamedTuple):
@@ -347,18 +354,23 @@ class Bus:
         }
 
     def vehicles(self) -> set[str]:
-        """Return the namespaces in which services are present; only without a namespace of our own."""
+        """Return the namespaces in which services are present; only without a namespace of our own.
+
+        Several vehicles that search together have one, that of their search.
+        """
         tokens = HEALTH.named()
-        return {
-            namespace
-            for reply in self._session.liveliness().get(f"**/{tokens}")
-            if reply.ok is not None
-            and (namespace := str(reply.ok.key_expr).rpartition(f"/{tokens.partition('*')[0]}")[0])
-            # A token of a pattern of keys is no vehicle, and strangers may choose any name.
-            and not set(namespace) & set("*$")
-            and namespace.isprintable()
-            and len(namespace) <= LONGEST_NAMESPACE
-        }
+        present: dict[str, set[str]] = {}
+        for reply in self._session.liveliness().get(f"**/{tokens}"):
+            if (
+                reply.ok is not None
+                and (namespace := str(reply.ok.key_expr).rpartition(f"/{tokens.partition('*')[0]}")[0])
+                # A token of a pattern of keys is no vehicle, and strangers may choose any name.
+                and not set(namespace) & set("*$")
+                and namespace.isprintable()
+                and len(namespace) <= LONGEST_NAMESPACE
+            ):
+                present.setdefault(namespace, set()).add(service_of(reply.ok.key_expr))
+        return {search_of(namespace, services) for namespace, services in present.items()}
 
     @property
     def connected(self) -> bool:

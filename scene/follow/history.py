@@ -40,13 +40,13 @@ from scene.scene import (
 )
 
 TRACK_STEP_M = 0.1  # the track gets a point when the vehicle has moved this far
-FIRST = "1"  # of several vehicles that search together, the one that is followed
+FIRST = 1  # of several vehicles that search together, the one that is followed as a rule
 RESTART_MS = 1000  # a vehicle whose own time goes back by more was started again
 NOWHERE = math.nan, math.nan
 
 
 class History:
-    """What was said on the bus of one vehicle; of a search by several, it follows the first.
+    """What was said on the bus of one vehicle; of a search by several, it follows one of them.
 
     A message that breaks the contract is left out: the services count and refuse it.
     """
@@ -58,13 +58,16 @@ class History:
         *,
         turns: Sequence[WindTurn] | None = (),
         whole: bool = True,
+        number: int = FIRST,
     ) -> None:
         """Begin.
 
         whole: keep what scrubbing needs, each pose and each belief's particles; else only the newest ones.
+        number: which of several vehicles that search together it follows.
         turns: the changes of the backdrop's wind, in order; None: it is the wind that the readings have.
         """
         self.backdrop = backdrop  # as it is at first
+        self._number = number
         self.own = OwnSystem()  # which system the vehicle is
         self.is_real = False  # whether a search flies a real autopilot: it speaks beside it, under its id
         self.time_s = self.wall_s = 0.0  # of the newest message, by the simulation and by the clock
@@ -127,7 +130,7 @@ class History:
         Returns whether it changes the scene.
         """
         if number := vehicle_of(key):
-            if number != FIRST:
+            if number != str(self._number):
                 return False
             key = row_name(key)
         self.time_s, self.wall_s = max(self.time_s, time_s), max(self.wall_s, wall_s)
@@ -143,13 +146,14 @@ class History:
                     self._winds.add(time_s, unpack_reading(payload).wind)
                     return True
                 case BELIEF.name:
-                    said = by_vehicle(msgspec.json.decode(payload, type=Belief))[0]
-                    return self._take_belief(said, attachment, time_s)
+                    seen = by_vehicle(msgspec.json.decode(payload, type=Belief))
+                    return self._take_belief(seen[min(self._number, len(seen)) - 1], attachment, time_s)
                 case STOP.name:
                     return self._take_stop(msgspec.json.decode(payload, type=Stop), time_s)
                 case WAYPOINT.name:
                     places = [place for _, said in frames(payload, {SETPOINT}) if (place := waypoint(said))]
-                    for place in places[:1]:  # those of several vehicles are in their order
+                    at = min(self._number, len(places)) - 1
+                    for place in places[at : at + 1]:  # those of several vehicles are in their order
                         self.waypoints.add(time_s, place)
                     return bool(places)
                 case _ if key.startswith(HEALTH_PREFIX):
@@ -300,9 +304,9 @@ def _cloud(said: Belief, attachment: bytes) -> Particles | None:
 # ---- of a run ----
 
 
-def begun(about: dict[str, Any], vehicle: str = "", *, whole: bool = False) -> History:
-    """Return the history of a run of which only its own description is known; for `whole` see `History`."""
-    return History(*backdrop_of(about, vehicle), turns=turns_of(about), whole=whole)
+def begun(about: dict[str, Any], vehicle: str = "", *, whole: bool = False, number: int = FIRST) -> History:
+    """Return the history of a run of which only its own description is known; for the rest see `History`."""
+    return History(*backdrop_of(about, vehicle), turns=turns_of(about), whole=whole, number=number)
 
 
 def history_of(recording: Recording, vehicle: str = "") -> History:

@@ -5,20 +5,28 @@ process that stays behind.
 import json
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 
 from agent.trials.rollout import rollout
 from link.bus.keys import BELIEF, HEALTH, STOP
-from link.bus.messages import Belief, Health, Stop, by_vehicle
+from link.bus.mavlink import unpack_reading
+from link.bus.messages import Belief, Health, Stop, Taken, by_vehicle, pack_particles
 from link.bus.session import Bus, part_of
+from link.record.reader import read
 from plume.randomness import derived_seed
 from plume.scenario import draw
 from tests.system.conftest import Part
 from tests.system.live import run_agent, run_sitl
+from tests.system.pages import Browser, port_of
+from tests.system.test_view import belief as one_belief
 
 TO_THE_STOP = ("--vehicles", "2", "--from", "corners", "--seed", "4", "--particles", "300")
 
@@ -218,3 +226,112 @@ def test_a_service_that_is_killed_and_started_again_goes_on_with_the_same_search
     assert [watched.points[step] for step in sorted(watched.points)] == expected
     assert watched.stops[0].estimate == expected[-1][0][2]
     wait_until(lambda: watched.take() and [watched.states.get(f"uav/{n}") for n in (1, 2)] == ["landed"] * 2)
+
+
+# ---- what is shown of it ----
+
+
+def of_a_round() -> Belief:
+    """A belief of two vehicles, after the first round."""
+    readings = tuple(
+        Taken(number, number, 1000 + number, (10.0 * number, 2.0), 5.0, 0.5 * number) for number in (1, 2)
+    )
+    alone = one_belief(0)
+    return msgspec.structs.replace(alone, position=(20.0, 2.0), time_boot_ms=1002, readings=readings)
+
+
+def test_a_page_shows_each_vehicle_of_a_search_with_their_belief(
+    start: type[Part], router: str, wait_until: Callable
+) -> None:
+    view = start("sitl", "view", "--port", "0", "--connect", router)
+    names = {"search/1/uav/1", "search/1/uav/2"}
+    with (
+        Bus("estimator", router, "search/1", vehicles=(1, 2)) as estimator,
+        Bus("uav", router, "search/1", vehicles=(1,)),
+        Bus("uav", router, "search/1", vehicles=(2,)),
+        Browser(port_of(view, wait_until)) as page,
+    ):
+        page.until(lambda: set(page.vehicles) == names)
+        page.show(*sorted(names))
+        particles = np.full((7, 3), 1 / 7, np.float32)
+        estimator.publish(BELIEF, of_a_round(), pack_particles(particles))
+        page.until(lambda: all(page.particles.get(name) == 7 for name in names))
+
+
+def test_status_has_a_row_for_each_vehicle_of_a_search_and_for_its_services(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], router: str
+) -> None:
+    with (
+        Bus("uav", router, "search/1", vehicles=(1,)) as first,
+        Bus("uav", router, "search/1", vehicles=(2,)) as second,
+        Bus("estimator", router, "search/1", vehicles=(1, 2)) as estimator,
+        Bus("agent", router, "search/1") as agent,
+        ExitStack() as stack,
+    ):
+        parts, over = (first, second, estimator, agent), threading.Event()
+
+        def keep_speaking() -> None:
+            while not over.wait(0.1):
+                for bus in parts:
+                    bus.publish_health()
+
+        speaking = threading.Thread(target=keep_speaking)
+        speaking.start()
+        stack.callback(speaking.join)
+        stack.callback(over.set)
+        for flags in ((), ("--namespace", "search/1")):
+            status, out, _ = run_sitl(monkeypatch, capsys, "status", "-e", router, *flags)
+            assert status == 0
+            assert out[0] == f"search/1 at {router}"
+            rows = [line.split()[:2] for line in out[2:]]
+            assert rows[:5] == [[part, "ok"] for part in ("router", "uav/1", "uav/2", "estimator", "agent")]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The record of a short mission of two vehicles."""
+    folder = tmp_path_factory.mktemp("fleet")
+    part = Part(
+        "sitl", "fly", "--vehicles", "2", "--seed", "4", "--particles", "100", "--budget", "4", "--speedup", "0",
+        "--record", "two.mcap", cwd=folder,
+    )  # fmt: skip
+    assert part.ended() == 0, part.err
+    return folder / "two.mcap"
+
+
+def test_a_record_has_the_readings_of_all_vehicles_under_their_keys(recorded: Path) -> None:
+    log = read(recorded)
+    assert log.complete
+    assert log.about["fleet"] == {"vehicles": 2, "formation": "point", "separation_m": 3.0}
+    for number in (1, 2):
+        times = [
+            unpack_reading(entry.payload, number).time_boot_ms
+            for entry in log.entries
+            if entry.key == f"uav/{number}/reading"
+        ]
+        assert len(set(times)) == 5
+    keys = {entry.key for entry in log.entries}
+    assert {"belief", "waypoint", "uav/1/mavlink/out", "uav/2/mavlink/out", "uav/2/health/uav"} <= keys
+
+
+def test_a_replayed_record_gives_the_same_beliefs_and_waypoints(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = run_sitl(monkeypatch, capsys, "replay", str(recorded), "--verify", "--speedup", "0")
+    assert status == 0, err
+    assert "verified: 5 beliefs, 0 stops, 4 waypoints" in "\n".join([*out, *err])
+
+
+def test_a_log_and_findings_have_all_readings_and_all_metres(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, _ = run_sitl(monkeypatch, capsys, "log", str(recorded))
+    assert status == 0
+    assert any(line.startswith("not ceased after 4 steps of 2 vehicles") for line in out)
+    status, _, err = run_sitl(
+        monkeypatch, capsys, "findings", str(recorded), "--out", str(tmp_path / "found")
+    )
+    assert status == 0, err
+    rows = (tmp_path / "found" / "readings.csv").read_text().splitlines()
+    assert len(rows) == 1 + 10
+    assert run_sitl(monkeypatch, capsys, "draw", str(recorded), "--out", str(tmp_path / "two.png"))[0] == 0
