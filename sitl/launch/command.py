@@ -15,7 +15,7 @@ from aircraft.search.options import add_vehicle_url
 from link import cli
 from plume.outcome import outcome_text
 from plume.problem import Problem
-from plume.problems.options import add_fleet_arguments, fleet_given
+from plume.problems.options import add_fleet_arguments
 from sitl.launch.launcher import Flown, fly
 from sitl.launch.mission import Launch, RealVehicle, check_connect, check_fleet, check_payload
 from sitl.launch.processes import MissionFailed
@@ -29,7 +29,7 @@ from sitl.launch.recording import (
 )
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
-from sitl.script.options import FIELDS, blamed, script_for_vehicle, script_of
+from sitl.script.options import FIELDS, blamed, fleet_of, script_for_vehicle, script_of
 from sitl.script.script import AgentPart, Script
 from sitl.uav.options import add_vehicle_arguments
 
@@ -176,11 +176,7 @@ def _checked_script(args: argparse.Namespace) -> Script:
     script = script_for_vehicle(script, args)
     if args.vehicle:
         check_payload(script, args.payload)
-    try:
-        args.fleet = fleet_given(args, script.problem)
-    except ValueError as error:
-        raise cli.BadInput(str(error)) from None
-    check_fleet(script, args.fleet, args.given)
+    check_fleet(script, fleet_of(args, script), args.given)
     return script
 
 
@@ -203,7 +199,6 @@ def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> La
         connect=args.connect,
         secure=args.secure,
         real=real,
-        fleet=args.fleet,
         record=record,
         log_level=args.log_level,
         patience_s=args.patience,

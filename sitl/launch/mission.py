@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,6 @@ class Launch:
     connect: str | None = None
     secure: Path | None = None  # the folder of certificates; None: nothing is secured
     real: RealVehicle | None = None  # None: the simulated vehicle
-    fleet: Fleet = ALONE  # the vehicles that search together
     record: Path | None = None  # the MCAP file to record to
     log_level: str = "warning"
     patience_s: float = PATIENCE_S  # real time after which a silent part counts as hung
@@ -64,6 +64,11 @@ class Launch:
         None: a real autopilot's, which nobody knows yet.
         """
         return self.sysid or (None if self.real else self.instance + 1)
+
+    @cached_property
+    def fleet(self) -> Fleet:
+        """The vehicles that search together."""
+        return self.script.together()
 
     @property
     def numbers(self) -> Sequence[int]:

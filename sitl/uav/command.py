@@ -13,10 +13,10 @@ from link import cli
 from plume.flight import TRY_AGAIN_S, leg_s
 from plume.problem import PAPER
 from plume.problems.fleet import ALONE, MOST_VEHICLES, Fleet
-from plume.problems.options import add_fleet_arguments, fleet_given
+from plume.problems.options import add_fleet_arguments
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.vehicle import Vehicle
-from sitl.script.options import script_for_vehicle, script_of
+from sitl.script.options import fleet_of, script_for_vehicle, script_of
 from sitl.script.script import Script
 from sitl.uav.options import add_vehicle_arguments, at_own_home
 from sitl.uav.simulated import simulated_uav
@@ -83,10 +83,7 @@ def _longest_wait_s(config: VehicleConfig, dwell_s: float) -> float:
 
 def _place_in_fleet(args: argparse.Namespace, script: Script) -> tuple[Fleet, int]:
     """Return the fleet that a vehicle searches with, and its number there, from 1. Raises BadInput."""
-    try:
-        fleet = fleet_given(args, script.problem)
-    except ValueError as error:
-        raise cli.BadInput(str(error)) from None
+    fleet = fleet_of(args, script)
     if fleet.vehicles == 1:
         if "number" in args.given:
             raise cli.BadInput("--number: it needs --vehicles N: one vehicle alone has no number")

@@ -106,6 +106,20 @@ def test_a_fleet_that_cannot_fly_is_refused_in_one_line_before_anything_starts(
     assert reason in err[-1]
 
 
+def test_a_script_that_asks_for_too_many_vehicles_is_refused_with_the_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "nine.yaml"
+    for text, reason in (
+        ("seed: 1\nfleet:\n  vehicles: 9\n", "line 3: fleet.vehicles: 9 is not allowed; wanted"),
+        ("fleet: {vehicles: 4, formation: edge, separation_m: 9}", "fleet.separation_m: 9 is not allowed"),
+    ):
+        path.write_text(text)
+        status, _, err = run_sitl(monkeypatch, capsys, "fly", str(path))
+        assert status == 2
+        assert reason in err[-1]
+
+
 def children(pid: int) -> list[int]:
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
@@ -289,12 +303,13 @@ def test_status_has_a_row_for_each_vehicle_of_a_search_and_for_its_services(
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The record of a short mission of two vehicles."""
+    """The record of a short mission of two vehicles, which a script describes; the wind turns on the way."""
     folder = tmp_path_factory.mktemp("fleet")
-    part = Part(
-        "sitl", "fly", "--vehicles", "2", "--seed", "4", "--particles", "100", "--budget", "4", "--speedup", "0",
-        "--record", "two.mcap", cwd=folder,
-    )  # fmt: skip
+    (folder / "two.yaml").write_text(
+        "{seed: 4, speedup: 0, fleet: {vehicles: 2, formation: corners}, estimator: {particles: 100}, "
+        "agent: {budget: 4}, events: [{step: 2, do: wind, phi: 1.0}]}"
+    )
+    part = Part("sitl", "fly", "two.yaml", "--record", "two.mcap", cwd=folder)
     assert part.ended() == 0, part.err
     return folder / "two.mcap"
 
@@ -302,7 +317,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_record_has_the_readings_of_all_vehicles_under_their_keys(recorded: Path) -> None:
     log = read(recorded)
     assert log.complete
-    assert log.about["fleet"] == {"vehicles": 2, "formation": "point", "separation_m": 3.0}
+    assert log.about["fleet"] == {"vehicles": 2, "formation": "corners", "separation_m": 3.0}
     for number in (1, 2):
         times = [
             unpack_reading(entry.payload, number).time_boot_ms
