@@ -13,7 +13,7 @@ from agent.planning.moves import Reach
 from agent.together import choose_all
 from link.bus.keys import BELIEF, HEALTH, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, elapsed_ms, waypoint_message
-from link.bus.messages import Belief, Health, Particles, Taken, unpack_particles
+from link.bus.messages import Belief, Health, Particles, RoundReading, unpack_particles
 from link.bus.session import Arrival, Bus
 from plume.elementary import float32
 from plume.parameters import MOST, PARAMETERS
@@ -106,9 +106,9 @@ def run(
         bus.answered()
 
 
-def _alone(belief: Belief, system: int) -> Taken:
+def _alone(belief: Belief, system: int) -> RoundReading:
     """Return the reading of one vehicle, which its belief is about."""
-    return Taken(1, system, belief.time_boot_ms, belief.position, belief.altitude_m, belief.gas)
+    return RoundReading(1, system, belief.time_boot_ms, belief.position, belief.altitude_m, belief.gas)
 
 
 def _belief(bus: Bus, arrival: Arrival, area: Area) -> tuple[Belief, Particles] | None:

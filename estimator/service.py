@@ -8,10 +8,10 @@ import msgspec
 from estimator.admission import refusal
 from estimator.belief import belief, stop, warning
 from estimator.filter import Config, assimilate, prior
-from estimator.rounds import Rounds
+from estimator.gathering import Gathering
 from link.bus.keys import BELIEF, READING, STOP
 from link.bus.mavlink import BadFrame, Reading, split, unpack_reading
-from link.bus.messages import Belief, Taken, pack_particles
+from link.bus.messages import Belief, RoundReading, pack_particles
 from link.bus.session import Arrival, Bus
 from link.bus.tally import REPEATED
 
@@ -25,7 +25,7 @@ def run(bus: Bus, config: Config, systems: Sequence[int | None]) -> None:
     admitted.
     """
     _begin(bus, config)
-    known, rounds = list(systems), Rounds(len(systems))
+    known, rounds = list(systems), Gathering(len(systems))
     posterior = prior(config)
     summary, particles = None, b""
     stopped = False
@@ -76,7 +76,7 @@ def run(bus: Bus, config: Config, systems: Sequence[int | None]) -> None:
 def _of_all(said: Belief, taken: Sequence[Reading], systems: Sequence[int | None]) -> Belief:
     """Return a round's belief with the readings that it answers."""
     readings = tuple(
-        Taken(
+        RoundReading(
             vehicle=each.vehicle,
             system=systems[each.vehicle - 1] or each.vehicle,
             time_boot_ms=each.time_boot_ms,

@@ -11,7 +11,7 @@ import msgspec
 from link.access.roles import MOST_VEHICLES, OF_ALL_VEHICLES, SERVICES
 from link.bus.inbox import MOST_OTHERS, WAITING_BYTES, WAITING_MESSAGES
 from link.bus.keys import BELIEF, HEALTH, KEYS, OF_A_VEHICLE, Key
-from link.bus.messages import Taken
+from link.bus.messages import RoundReading
 from link.bus.opening import DEFAULT_ROUTER
 
 HEAD = f"""# The bus
@@ -274,7 +274,7 @@ itself on the bus.
 def bus_document() -> str:
     """Return the whole page."""
     kinds = [key.payload for key in KEYS if not isinstance(key.payload, str)]
-    kinds.insert(1, Taken)  # in a belief
+    kinds.insert(1, RoundReading)  # in a belief
     messages = [_message(kind) for kind in kinds]
     return (
         HEAD

@@ -29,7 +29,7 @@ Particles = NDArray[np.float32]
 """(N, D + 1): a column for each unknown of the belief, by default x and y, then the weights, of sum 1."""
 
 
-class Taken(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class RoundReading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One reading of a round, of a vehicle that searches together with others."""
 
     vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle in the search, from 1")]
@@ -145,7 +145,7 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = None
     # Not said at all where one vehicle searches alone.
     readings: Annotated[
-        tuple[Taken, ...] | msgspec.UnsetType,
+        tuple[RoundReading, ...] | msgspec.UnsetType,
         Meta(
             description="of a search by several vehicles: the readings of the round, one of each vehicle, in "
             "their order; absent with one vehicle"

@@ -11,7 +11,7 @@ from agent.policies import reach
 from agent.together import choose_all
 from link.bus.keys import BELIEF, HEALTH
 from link.bus.mavlink import unpack
-from link.bus.messages import Belief, Health, Taken, unpack_particles
+from link.bus.messages import Belief, Health, RoundReading, unpack_particles
 from link.bus.session import Arrival
 from tests.fuzz.services import BETWEEN, QuietBus, answered, belief_seeds, until_all_are_taken
 
@@ -122,6 +122,6 @@ def test_a_round_that_no_estimator_can_mean_is_refused(changed: dict[str, object
 
 
 def test_a_round_of_one_vehicle_is_refused() -> None:
-    round_of_one = Taken(1, 1, 1000, (3.0, 4.0), 5.0, 0.1)
+    round_of_one = RoundReading(1, 1, 1000, (3.0, 4.0), 5.0, 0.1)
     bus = answered("homing", said(time_boot_ms=1000, readings=[msgspec.to_builtins(round_of_one)]), said())
     assert "1 readings in a round" in bus.tally.last_error

@@ -18,7 +18,7 @@ import pytest
 from agent.trials.rollout import rollout
 from link.bus.keys import BELIEF, HEALTH, STOP
 from link.bus.mavlink import unpack_reading
-from link.bus.messages import Belief, Health, Stop, Taken, by_vehicle, pack_particles
+from link.bus.messages import Belief, Health, RoundReading, Stop, by_vehicle, pack_particles
 from link.bus.session import Bus, part_of
 from link.record.reader import read
 from plume.randomness import derived_seed
@@ -248,7 +248,8 @@ def test_a_service_that_is_killed_and_started_again_goes_on_with_the_same_search
 def of_a_round() -> Belief:
     """A belief of two vehicles, after the first round."""
     readings = tuple(
-        Taken(number, number, 1000 + number, (10.0 * number, 2.0), 5.0, 0.5 * number) for number in (1, 2)
+        RoundReading(number, number, 1000 + number, (10.0 * number, 2.0), 5.0, 0.5 * number)
+        for number in (1, 2)
     )
     alone = one_belief(0)
     return msgspec.structs.replace(alone, position=(20.0, 2.0), time_boot_ms=1002, readings=readings)

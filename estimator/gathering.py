@@ -1,4 +1,4 @@
-"""Rounds: which readings of a search by several vehicles belong together, in a defined order.
+"""Gathering: which readings of a search by several vehicles belong together, in a defined order.
 
 Round k has reading k of each vehicle, in the order of the vehicles. It is whole when the last of them has
 come, however they come: late, twice, or all those of one vehicle before those of another.
@@ -9,7 +9,7 @@ from collections import deque
 from link.bus.mavlink import Reading
 
 
-class Rounds:
+class Gathering:
     """The readings that wait for their round, and the newest of each vehicle."""
 
     def __init__(self, vehicles: int) -> None:
