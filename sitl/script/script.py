@@ -128,7 +128,7 @@ class FleetPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Vehicles that search together, with one belief and one stop."""
 
     vehicles: Annotated[
-        int, Meta(ge=1, le=MOST_VEHICLES, description=f"how many, a whole number from 1 to {MOST_VEHICLES}")
+        int, Meta(ge=1, le=MOST_VEHICLES, description=f"a whole number from 1 to {MOST_VEHICLES}: how many")
     ] = 1
     formation: Annotated[
         Literal["point", "edge", "corners"], Meta(description="where they start, as --from")
@@ -138,7 +138,7 @@ class FleetPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         Meta(
             ge=0,
             le=FARTHEST_APART_M,
-            description=f"least distance between their ways, a number from 0 up to {FARTHEST_APART_M:g}, m",
+            description=f"a number from 0 up to {FARTHEST_APART_M:g}: least distance between their ways, m",
         ),
     ] = SEPARATION_M
 

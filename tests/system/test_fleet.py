@@ -111,7 +111,10 @@ def test_a_script_that_asks_for_too_many_vehicles_is_refused_with_the_line(
 ) -> None:
     path = tmp_path / "nine.yaml"
     for text, reason in (
-        ("seed: 1\nfleet:\n  vehicles: 9\n", "line 3: fleet.vehicles: 9 is not allowed; wanted"),
+        (
+            "seed: 1\nfleet:\n  vehicles: 9\n",
+            "nine.yaml:3: fleet.vehicles: 9 is not allowed; wanted a whole number",
+        ),
         ("fleet: {vehicles: 4, formation: edge, separation_m: 9}", "fleet.separation_m: 9 is not allowed"),
     ):
         path.write_text(text)
