@@ -68,6 +68,7 @@ class History:
         """
         self.backdrop = backdrop  # as it is at first
         self._number = number
+        self._beside: tuple[tuple[Point, float], ...] = ()  # what others read in the newest round
         self.own = OwnSystem()  # which system the vehicle is
         self.is_real = False  # whether a search flies a real autopilot: it speaks beside it, under its id
         self.time_s = self.wall_s = 0.0  # of the newest message, by the simulation and by the clock
@@ -147,7 +148,9 @@ class History:
                     return True
                 case BELIEF.name:
                     seen = by_vehicle(msgspec.json.decode(payload, type=Belief))
-                    return self._take_belief(seen[min(self._number, len(seen)) - 1], attachment, time_s)
+                    own = seen.pop(min(self._number, len(seen)) - 1)
+                    self._beside = tuple((each.position, each.gas) for each in seen)
+                    return self._take_belief(own, attachment, time_s)
                 case STOP.name:
                     return self._take_stop(msgspec.json.decode(payload, type=Stop), time_s)
                 case WAYPOINT.name:
@@ -212,7 +215,8 @@ class History:
         if last is not None and said.step <= last.step:
             return False  # repeated
         cloud = _cloud(said, attachment) if attachment else None
-        self.measurements.add(time_s, measured(said, cloud, time_s, self._winds.at()))
+        it = measured(said, cloud, time_s, self._winds.at())
+        self.measurements.add(time_s, replace(it, others=self._beside) if self._beside else it)
         self._stop, self._assume, self._gauge = said.stop, said.assume, gauge_of(said.sensor)
         if attachment:
             self._scatters.add(time_s, None if cloud is None else scatter(said, cloud))
