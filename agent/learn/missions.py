@@ -140,7 +140,7 @@ class Missions:
             self.problem.ground,
             assume=self._assume,
             within=criterion.within,
-            expected=self.problem.prior,
+            expected=self.problem.support,
         )
 
     def _read(self, missions: Indices) -> None:
