@@ -17,9 +17,10 @@ from agent.policies import PolicyError, add_policy_argument, reach
 from link import cli
 from link.bus.session import Bus
 from plume.problem import FARTHEST_M
+from plume.problems.fleet import FARTHEST_APART_M
 from plume.problems.options import add_problem_argument, problem_of
 from plume.randomness import MAX_SEED
-from plume.scenario import WorldError
+from plume.scenario import SEPARATION_M, WorldError
 
 # Commands with a module of their own. It is imported only for its command: a service starts fast and knows
 # nothing of trials.
@@ -44,8 +45,8 @@ def _add_policy_arguments(parser: argparse.ArgumentParser, of: str) -> None:
 
 def _add_rollout_arguments(parser: argparse.ArgumentParser) -> None:
     from agent.trials.evaluate import add_world_argument
-    from agent.trials.fleet import add_fleet_arguments
     from estimator.options import add_sensor_argument
+    from plume.problems.options import add_fleet_arguments
 
     _add_policy_arguments(parser, "mission")
     cli.add_filter_arguments(parser)
@@ -85,6 +86,13 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
         metavar="N",
         help="the vehicle's system id (default: its health's, else 1)",
     )
+    parser.add_argument(
+        "--separation",
+        type=cli.number(0, FARTHEST_APART_M),
+        default=SEPARATION_M,
+        metavar="M",
+        help="least distance between the ways of two vehicles that search together, m (default: %(default)g)",
+    )
     commands = parser.add_subparsers(
         dest="command", parser_class=cli.Parser, metavar="rollout | evaluate | train | report"
     )
@@ -99,10 +107,10 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
     try:
         if args.command in ("rollout", "evaluate"):
             from agent.trials.evaluate import choose_problem
-            from agent.trials.fleet import fleet_given
+            from plume.problems.options import fleet_given
 
             choose_problem(args)
-            args.fleet = fleet_given(args)
+            args.fleet = fleet_given(args, args.problem)
         if args.command is None:
             args.problem = problem_of(args)
         if args.command in (None, "rollout"):
@@ -145,7 +153,16 @@ def _serve(args: argparse.Namespace) -> None:
     with Bus(
         "agent", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True
     ) as bus:
-        service.run(bus, args.policy, args.seed, args.problem.budget, args.sysid, args.reach, args.scripted)
+        service.run(
+            bus,
+            args.policy,
+            args.seed,
+            args.problem.budget,
+            args.sysid,
+            args.reach,
+            args.scripted,
+            args.separation,
+        )
 
 
 def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> int | None:

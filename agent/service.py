@@ -5,17 +5,21 @@ import time
 from collections.abc import Mapping
 from types import MappingProxyType
 
+import msgspec
 import numpy as np
 
 from agent import policies
 from agent.planning.moves import Reach
+from agent.together import choose_all
 from link.bus.keys import BELIEF, HEALTH, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, elapsed_ms, waypoint_message
-from link.bus.messages import Belief, Health, Particles, unpack_particles
+from link.bus.messages import Belief, Health, Particles, RoundReading, unpack_particles
 from link.bus.session import Arrival, Bus
 from plume.elementary import float32
 from plume.parameters import MOST, PARAMETERS
 from plume.problem import Area
+from plume.problems.fleet import MOST_VEHICLES, Place
+from plume.scenario import SEPARATION_M
 from plume.sensors.names import numbers, parse
 
 
@@ -50,11 +54,14 @@ def run(
     system: int | None,
     reach: Reach,
     scripted: Mapping[int, tuple[float, float]] = MappingProxyType({}),
+    separation_m: float = SEPARATION_M,
 ) -> None:
     """Serve until interrupted: answer each belief, unless the search has ceased or the budget is spent.
 
-    system: the vehicle's MAVLink system id; None: the one that its health tells, and 1 until then.
-    scripted: waypoints that replace the policy's, by the step of the belief they answer.
+    system: the vehicle's MAVLink system id; None: the one that its health tells, and 1 until then. Those
+    of several come with the belief.
+    scripted: waypoints of one vehicle that replace the policy's, by the step of the belief they answer.
+    separation_m: the least distance between the ways of several vehicles, m.
     """
     policies.policy(policy)  # loads or compiles the policy before the first belief arrives
     bus.subscribe(BELIEF, newest=True)
@@ -65,7 +72,7 @@ def run(
     bus.publish_health()
     bus.log.info(f"ready: {policy}")
     answered: int | None = None
-    waypoint = (0.0, 0.0)
+    waypoints: list[Place] = []
     while True:
         arrival: Arrival = bus.receive()
         if arrival.name == HEALTH.named("uav"):
@@ -76,24 +83,32 @@ def run(
         if received is None:
             continue
         belief, particles = received
+        taken = belief.readings or (_alone(belief, system),)
         later = 1 if answered is None else elapsed_ms(answered, belief.time_boot_ms)
         if belief.ceased or belief.step >= budget or later < 0:
             continue
-        if later:
+        if later or len(waypoints) != len(taken):
             began = time.perf_counter()
-            waypoint = (
-                scripted[belief.step]
-                if belief.step in scripted
-                else policies.choose(policy, belief, particles, seed, reach)
-            )
+            if len(taken) == 1 and belief.step in scripted:
+                waypoints = [scripted[belief.step]]
+            else:
+                places, gases = [each.position for each in taken], [each.gas for each in taken]
+                waypoints = choose_all(policy, belief, particles, seed, reach, places, gases, separation_m)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(belief.step)
             answered = belief.time_boot_ms
         # A repeated belief means that our waypoint did not arrive: send the same one again.
-        bus.publish(
-            WAYPOINT, codec.pack(waypoint_message(system, belief.time_boot_ms, waypoint, belief.altitude_m))
-        )
+        frames = [
+            waypoint_message(each.system, each.time_boot_ms, place, each.altitude_m)
+            for each, place in zip(taken, waypoints, strict=True)
+        ]
+        bus.publish(WAYPOINT, codec.pack(*frames))
         bus.answered()
+
+
+def _alone(belief: Belief, system: int) -> RoundReading:
+    """Return the reading of one vehicle, which its belief is about."""
+    return RoundReading(1, system, belief.time_boot_ms, belief.position, belief.altitude_m, belief.gas)
 
 
 def _belief(bus: Bus, arrival: Arrival, area: Area) -> tuple[Belief, Particles] | None:
@@ -126,8 +141,10 @@ def check(belief: Belief, area: Area) -> None:
         raise ValueError(f"unknowns {' '.join(names)!r} are not distinct names of {' '.join(PARAMETERS)}")
     if not len(names) == len(belief.means) == len(belief.stds):
         raise ValueError(f"{len(belief.means)} means and {len(belief.stds)} stds of {len(names)} unknowns")
-    if not area.holds(belief.position):
-        raise ValueError(f"position {belief.position} is outside the area {area.text}")
+    _check_readings(belief)
+    for position in (belief.position, *(each.position for each in belief.readings or ())):
+        if not area.holds(position):
+            raise ValueError(f"position {position} is outside the area {area.text}")
     positive = belief.rate, belief.diffusivity, belief.lifetime
     others = (
         *numbers(parse(belief.sensor)).values(),
@@ -138,6 +155,7 @@ def check(belief: Belief, area: Area) -> None:
         *belief.mean,
         *belief.covariance,
         belief.spread,
+        *(value for each in belief.readings or () for value in (each.gas, each.altitude_m)),
     )
     if max(map(abs, (*positive, *others))) > MOST or min(positive) < 1 / MOST:
         raise ValueError(
@@ -147,3 +165,16 @@ def check(belief: Belief, area: Area) -> None:
     xx, xy, yy = belief.covariance
     if min(xx, yy) < 0 or abs(xy) > 1.001 * math.sqrt(xx * yy) + 1e-9:
         raise ValueError(f"{belief.covariance} is not a covariance (xx, xy, yy)")
+
+
+def _check_readings(belief: Belief) -> None:
+    """Raise ValueError unless the readings of a round are those of vehicles 1, 2 and so on, the last one's
+    being the belief's own.
+    """
+    readings = belief.readings or ()
+    if belief.readings is not msgspec.UNSET and not 1 < len(readings) <= MOST_VEHICLES:
+        raise ValueError(f"{len(readings)} readings in a round; wanted 2 to {MOST_VEHICLES}")
+    if [each.vehicle for each in readings] != [*range(1, len(readings) + 1)]:
+        raise ValueError("the readings of a round are not those of vehicles 1, 2 and so on, in their order")
+    if readings and readings[-1].time_boot_ms != belief.time_boot_ms:
+        raise ValueError("the time of a belief is not that of the last reading of its round")

@@ -9,9 +9,8 @@ from agent.planning.apart import Shared
 from agent.planning.moves import Reach
 from agent.policies import choose
 from link.bus.messages import Belief, Particles
-from plume.randomness import derived_seed
-
-Place = tuple[float, float]  # (x, y) m
+from plume.problems.fleet import Place
+from plume.randomness import seed_of
 
 
 def choose_all(
@@ -59,8 +58,3 @@ def in_turn(
 def seen_by(belief: Belief, place: Place, gas: float) -> Belief:
     """Return a round's belief as the vehicle sees it that read this there."""
     return msgspec.structs.replace(belief, position=place, gas=gas)
-
-
-def seed_of(seed: int, vehicle: int) -> int:
-    """Return the seed of a vehicle's own draws: the first one's is that of a vehicle alone."""
-    return seed if vehicle == 1 else derived_seed(seed, f"vehicle {vehicle}")

@@ -1,7 +1,7 @@
 """What the search needs of a vehicle, of the vehicle's clients, and of its gas sensor."""
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple, Protocol
 
 from aircraft.operator import CommandName
@@ -146,10 +146,14 @@ class GasSensor:
     services = SEARCHERS  # the services without which the search does not begin
     keys: tuple[Key, ...] = ()  # on which it is answered
     dwell_s = 0.0  # that the vehicle hovers before it measures
+    among = 1  # how many vehicles search together, itself included
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured | None:
         """Take reading `number`; None: the values come later, through `take`."""
         raise NotImplementedError
+
+    def go(self, places: Sequence[tuple[float, float]]) -> None:
+        """Learn where all vehicles that search together go next, (x, y) m, in their order."""
 
     def blow(self, u: float | None, phi: float | None) -> None:
         """Change speed or direction of the wind in a simulated world; None: as it was."""

@@ -19,10 +19,8 @@ import msgspec
 import numpy as np
 
 from agent.policies import DEFAULT, choose, reach
-from agent.together import seed_of
 from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.figures import bootstrap, wilson
-from agent.trials.fleet import FORMATIONS, Fleet
 from agent.trials.rollout import rollout
 from agent.trials.workers import as_flown
 from estimator.belief import belief
@@ -32,7 +30,8 @@ from link.bus.mavlink import Reading
 from link.terminal import tell
 from plume.outcome import verdict
 from plume.problem import ALTITUDE_M
-from plume.randomness import derived_seed
+from plume.problems.fleet import FORMATIONS, Fleet
+from plume.randomness import derived_seed, seed_of
 from plume.scenario import BUDGET_STEPS, draw
 from plume.worlds.world import World
 

@@ -61,8 +61,10 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         "--sysid",
         type=cli.whole(1, 255),
         metavar="N",
-        help="the vehicle's system id (default: the first reading's)",
+        help="the vehicle's system id, of several that of the first, those of the others follow it (default: "
+        "the first reading's)",
     )
+    cli.add_vehicles_argument(parser)
     args = parser.parse_args(arguments)
     try:
         problem = problem_of(args)
@@ -86,9 +88,15 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         **known,
     )
     with Bus(
-        "estimator", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True
+        "estimator",
+        args.connect,
+        args.namespace,
+        log_level=args.log_level,
+        secure=args.secure,
+        sole=True,
+        vehicles=cli.numbers(args.vehicles),
     ) as bus:
-        run(bus, config, args.sysid)
+        run(bus, config, [args.sysid and args.sysid + other for other in range(args.vehicles)])
 
 
 if __name__ == "__main__":

@@ -1,49 +1,61 @@
 """The estimator service: takes readings, publishes one belief for each, and one stop."""
 
 import time
+from collections.abc import Sequence
+
+import msgspec
 
 from estimator.admission import refusal
 from estimator.belief import belief, stop, warning
 from estimator.filter import Config, assimilate, prior
+from estimator.gathering import Gathering
 from link.bus.keys import BELIEF, READING, STOP
-from link.bus.mavlink import BadFrame, split, unpack_reading
-from link.bus.messages import Belief, pack_particles
+from link.bus.mavlink import BadFrame, Reading, split, unpack_reading
+from link.bus.messages import Belief, RoundReading, pack_particles
 from link.bus.session import Arrival, Bus
 from link.bus.tally import REPEATED
 
 
-def run(bus: Bus, config: Config, system: int | None) -> None:
+def run(bus: Bus, config: Config, systems: Sequence[int | None]) -> None:
     """Serve until interrupted.
 
     The first readings are those published before it joined: this alone recovers a restarted estimator.
 
-    system: the vehicle's MAVLink system id; None: that of the first reading that is admitted.
+    systems: the MAVLink system id of each vehicle that searches; None: that of its first reading that is
+    admitted.
     """
     _begin(bus, config)
+    known, rounds = list(systems), Gathering(len(systems))
     posterior = prior(config)
-    latest, summary, particles = None, None, b""
+    summary, particles = None, b""
     stopped = False
     while True:
         arrival: Arrival = bus.receive()
+        own = arrival.vehicle - 1
         try:
-            reading = unpack_reading(arrival.payload, system)
+            reading = unpack_reading(arrival.payload, known[own])._replace(vehicle=arrival.vehicle)
         except BadFrame as error:
             bus.refuse(READING, str(error), error.kind)
             continue
-        refused = refusal(reading, latest, config)
+        refused = refusal(reading, rounds.newest[own], config)
         if refused:
             kind, reason = refused
             bus.refuse(READING, reason, kind)
             if kind != REPEATED:
                 continue
         else:
+            rounds.take(reading)
+            known[own] = known[own] or split(arrival.payload)[0].system
+        while taken := rounds.whole():
             began = time.perf_counter()
-            posterior = assimilate(posterior, reading, config)
-            summary, array = belief(posterior, reading, config)
+            for each in taken:
+                posterior = assimilate(posterior, each, config)
+            summary, array = belief(posterior, taken[-1], config)
+            if len(taken) > 1:
+                summary = _of_all(summary, taken, known)
             particles = pack_particles(array)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(summary.step)
-            latest, system = reading, system or split(arrival.payload)[0].system
             _judge(bus, summary, config)
             if summary.ceased and not stopped:
                 bus.publish(STOP, stop(summary, config))
@@ -52,11 +64,29 @@ def run(bus: Bus, config: Config, system: int | None) -> None:
                     f"{summary.spread:.2f} m"
                 )
                 stopped = bus.tally.ceased = True
+            bus.publish(BELIEF, summary, particles)
+            bus.answered()
         # A repeated reading means that no answer arrived. Publishing the same belief again recovers from any
-        # lost message.
-        assert summary is not None
-        bus.publish(BELIEF, summary, particles)
-        bus.answered()
+        # lost message. One that waits for those of other vehicles has no answer yet.
+        if refused and summary is not None and not rounds.waits(arrival.vehicle):
+            bus.publish(BELIEF, summary, particles)
+            bus.answered()
+
+
+def _of_all(said: Belief, taken: Sequence[Reading], systems: Sequence[int | None]) -> Belief:
+    """Return a round's belief with the readings that it answers."""
+    readings = tuple(
+        RoundReading(
+            vehicle=each.vehicle,
+            system=systems[each.vehicle - 1] or each.vehicle,
+            time_boot_ms=each.time_boot_ms,
+            position=each.position,
+            altitude_m=each.altitude_m,
+            gas=each.gas,
+        )
+        for each in taken
+    )
+    return msgspec.structs.replace(said, readings=readings)
 
 
 def _judge(bus: Bus, said: Belief, config: Config) -> None:

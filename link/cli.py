@@ -25,6 +25,7 @@ FAILED = 1
 # Names of what an estimator may take to be known; `estimator.assumptions` has what they mean.
 ASSUMPTIONS = ("field", "paper")
 T = TypeVar("T")
+MOST_VEHICLES = 8  # that search together; a test holds it equal to that of `plume.problems.fleet`
 COMPLETING = "_ARGCOMPLETE"  # the environment variable by which a shell asks for completions
 
 
@@ -210,6 +211,23 @@ def add_bus_arguments(parser: argparse.ArgumentParser, namespace: str | None = "
     )
     add_secure_argument(parser)
     add_log_argument(parser)
+
+
+def add_vehicles_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the flag that says how many vehicles search together in the namespace."""
+    parser.add_argument(
+        "--vehicles",
+        type=whole(1, MOST_VEHICLES),
+        default=1,
+        metavar="N",
+        help="how many vehicles search together; the namespace is then their search's, search/1 (default: "
+        "%(default)s)",
+    )
+
+
+def numbers(vehicles: int) -> range:
+    """Return the numbers by which each vehicle of a search has keys of its own; none of one that is alone."""
+    return range(1, vehicles + 1) if vehicles > 1 else range(0)
 
 
 def add_secure_argument(parser: argparse.ArgumentParser) -> None:

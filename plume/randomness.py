@@ -133,3 +133,8 @@ def derived_seed(seed: int, purpose: str) -> int:
     The source could be drawn from that.
     """
     return _word(f"{seed}/{purpose}") & MAX_SEED
+
+
+def seed_of(seed: int, vehicle: int) -> int:
+    """Return the seed of a vehicle's own draws, of a fleet: the first one's is that of a vehicle alone."""
+    return seed if vehicle == 1 else derived_seed(seed, f"vehicle {vehicle}")

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 AREA_M = 30.0  # side of the square search area [0, AREA_M]², m
 SOURCE_LOW_M, SOURCE_HIGH_M = 10.0, 25.0  # Table 1 draws the source's x and y from this range, m
 STEP_M = 1.0  # length of one move, m
+SEPARATION_M = 3.0  # least distance between the ways of two vehicles that search together, m
 BUDGET_STEPS = 300  # most moves of a mission; the paper states no budget
 # A stop counts as located if the estimate is this close to the source, m; the paper states none.
 SUCCESS_RADIUS_M = 1.0

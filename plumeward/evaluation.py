@@ -6,11 +6,11 @@ from typing import Any
 
 from agent.policies import DEFAULT
 from agent.trials.evaluate import FIRST_TEST_SEED, named
-from agent.trials.fleet import ALONE, Fleet
 from agent.trials.rollout import check as check_knowledge
 from agent.trials.sweep import Sweep, fly, on_cores, ordered
 from estimator.criterion import USUAL_THRESHOLD_M, chosen
 from plume.problem import PAPER, Problem
+from plume.problems.fleet import ALONE, Fleet
 from plume.problems.names import with_arguments
 from plume.worlds.names import check
 

@@ -429,14 +429,19 @@ class Drawing:
         taken = scene.measurements
         places = np.array([it.position for it in taken], np.float64).reshape(-1, 2)
         steps, gas = [it.step for it in taken], [it.gas for it in taken]
-        self.path.set_data(*places.T)
-        self.readings.set_offsets(places)
-        self.readings.set_array(np.array(gas))
+        ways, read = [places], [*gas]
+        for beside in zip(*(it.others for it in taken), strict=False):  # of each other vehicle
+            ways += [np.full((1, 2), np.nan), np.array([place for place, _ in beside])]  # a gap between them
+            read += [math.nan, *(value for _, value in beside)]
+        self.path.set_data(*np.concatenate(ways).T)
+        self.readings.set_offsets(np.concatenate(ways))
+        self.readings.set_array(np.array(read))
         for curve in (self.spreads, self.gases):
             curve.set_marker("." if len(steps) <= MANY // 10 else "")
         self.spreads.set_data(steps, [it.spread_m for it in taken])
         self.gases.set_data(steps, gas)
-        self._start.set_data(*places[:1].T)
+        starts = [way[:1] for way in ways if len(way) and not np.isnan(way[0, 0])]
+        self._start.set_data(*np.concatenate([*starts, np.empty((0, 2))]).T)
         self._estimate.set_data(*np.array([it.estimate for it in taken[-1:]]).reshape(-1, 2).T)
         shown = None if self._is_print else scene.craft
         self._craft.set_data(*([shown.position[0]], [shown.position[1]]) if shown else ([], []))

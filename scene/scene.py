@@ -159,6 +159,8 @@ class Measurement:
     effective_sample_size: float = math.nan
     outside: float = 0.0  # share of the belief outside the area
     measured_wind: Point | None = None  # with the reading: points to where it comes from, m/s
+    # Place and gas of the readings that other vehicles of the search took in the same round.
+    others: tuple[tuple[Point, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,11 @@ from agent.learn.env import REWARDS, TRAINING_SEEDS, Settings
 from agent.observation import SCHEMAS, Frame, Observation
 from agent.planning.apart import Shared
 from agent.planning.moves import Reach
-from agent.together import Place, in_turn, seen_by
-from agent.trials.fleet import Fleet
+from agent.together import in_turn, seen_by
 from agent.trials.rollout import prepared
 from agent.trials.rounds import Round, Rounds
 from plume.outcome import verdict
+from plume.problems.fleet import Fleet, Place
 
 OF_FLEET = ("vehicles", "formation", "separation_m")
 

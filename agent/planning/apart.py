@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from agent.planning.moves import Reach, ways_from
 from plume.elementary import Array
 from plume.polygons.polygons import gaps
-
-SEPARATION_M = 3.0  # least distance between the ways of two vehicles, m
+from plume.scenario import SEPARATION_M
 
 
 @dataclass(frozen=True)

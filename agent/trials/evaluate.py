@@ -21,14 +21,13 @@ import msgspec
 
 from agent.policies import add_policy_argument, bundle_path, reach
 from agent.trials.figures import COLUMNS, OF_FLEETS, MissionRow, cell, figures
-from agent.trials.fleet import add_fleet_arguments
 from agent.trials.workers import WorkerLost
 from estimator.options import add_sensor_argument, criteria, knowledge
 from link import cli
 from link.files import whole
 from link.terminal import Column, table, tell, width_of
 from plume.problems.names import PROBLEMS
-from plume.problems.options import add_problem_argument, problem_of
+from plume.problems.options import add_fleet_arguments, add_problem_argument, problem_of
 from plume.randomness import MAX_SEED
 from plume.scenario import AS_MODELLED
 from plume.worlds.names import ABOUT, OURS, check, kinds, separate

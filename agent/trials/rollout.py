@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 from agent.planning.moves import Reach
 from agent.policies import DEFAULT, reach
 from agent.together import choose_all
-from agent.trials.fleet import ALONE, Fleet
 from agent.trials.rounds import Rounds
 from estimator.criterion import USUAL_THRESHOLD_M, chosen
 from estimator.filter import Config, Posterior
@@ -17,6 +16,7 @@ from link.bus.messages import Belief, Particles
 from plume.geodesy import HOME
 from plume.outcome import LastWord, Outcome, TracePoint, interval, outcome
 from plume.problem import PAPER, Problem
+from plume.problems.fleet import ALONE, Fleet
 from plume.problems.names import sensor_of, with_arguments
 from plume.randomness import derived_seed
 from plume.scenario import Scenario, draw

@@ -4,13 +4,13 @@ import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.together import Place
 from estimator.belief import belief
 from estimator.filter import Config, Posterior, assimilate, prior
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
-from plume.flight import TRY_AGAIN_S, leg_s
+from plume.problems.fleet import Place
 from plume.worlds.exposure import Before
+from plume.worlds.rounds import RoundTime
 from plume.worlds.world import World
 
 
@@ -33,25 +33,25 @@ class Rounds:
 
     def __init__(self, world: World, config: Config, starts: Sequence[Place]) -> None:
         """Take the world as vehicle 1 measures it, and the vehicles' places."""
-        self.places = list(starts)
-        self.number = 0  # of the next round
         self._config = config
         self._posterior = prior(config)
-        self._worlds = [world.of_vehicle(vehicle + 1) for vehicle in range(len(starts))]
+        self._time = RoundTime(world, starts)
         self._before: list[Before | None] = [None] * len(starts)
-        self._time_s = 0.0
+
+    @property
+    def places(self) -> Sequence[Place]:
+        """Where the vehicles are."""
+        return self._time.places
+
+    @property
+    def number(self) -> int:
+        """The number of the next round."""
+        return self._time.number + 1
 
     def fly(self, places: Sequence[Place]) -> Round:
         """Fly each vehicle to its next place, and take a reading there."""
-        self._time_s += max(
-            float(leg_s(start, end)) + world.sensor.dwell + TRY_AGAIN_S * world.loses(self.number)
-            for start, end, world in zip(self.places, places, self._worlds, strict=True)
-        )
-        while self._worlds[0].warms_up(self._time_s):
-            self._time_s += TRY_AGAIN_S
-        self.places = list(places)
+        self._time.go(places)
         readings = [self._reading(vehicle) for vehicle in range(len(places))]
-        self.number += 1
         began = time.process_time()
         for reading in readings:
             self._posterior = assimilate(self._posterior, reading, self._config)
@@ -59,7 +59,7 @@ class Rounds:
         return Round(readings, said, particles, self._posterior, time.process_time() - began)
 
     def _reading(self, vehicle: int) -> Reading:
-        place = self.places[vehicle]
-        gas, wind = self._worlds[vehicle].measure(place, self.number, self._time_s, self._before[vehicle])
-        self._before[vehicle] = Before(place, self._time_s, gas)
-        return Reading(self.number, place, self._worlds[0].problem.altitude_m, wind, gas, vehicle + 1)
+        now, place, world = self._time, self._time.places[vehicle], self._time.worlds[vehicle]
+        gas, wind = world.measure(place, now.number, now.time_s, self._before[vehicle])
+        self._before[vehicle] = Before(place, now.time_s, gas)
+        return Reading(now.number, place, world.problem.altitude_m, wind, gas, vehicle + 1)

@@ -19,7 +19,6 @@ import numpy as np
 
 from agent.policies import bundle_path, reach
 from agent.trials.figures import MissionRow, nees
-from agent.trials.fleet import ALONE, Fleet
 from agent.trials.floor import LEAST_THRESHOLD_M, floors_m
 from agent.trials.progress import with_bar
 from agent.trials.rollout import Mission, mission
@@ -32,6 +31,7 @@ from link.bus.messages import Belief
 from plume import __version__
 from plume.outcome import verdict
 from plume.problem import AREA, PAPER, Problem
+from plume.problems.fleet import ALONE, Fleet
 from plume.problems.names import sensor_of
 from plume.scenario import AS_MODELLED, STEP_M
 from plume.sensors.names import GAUSSIAN, text

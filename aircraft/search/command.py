@@ -31,6 +31,8 @@ class Orders:
     events: Sequence[OnBoard] = ()
     after_stop: AfterStop = "return"
     estimator: str = ""  # flags that its estimator needs
+    agent: str = ""  # flags that its agent needs
+    number: int | None = None  # its number in a search of several vehicles; None: it searches alone
 
 
 # Makes the service; what it opens is closed with the stack. Raises ValueError for a URL of `outs` that cannot
@@ -65,10 +67,20 @@ def fly(args: argparse.Namespace, orders: Orders, make: Make) -> int:
         if args.connect or args.vehicle or not args.out:
             endpoint = args.connect or DEFAULT_ROUTER
             bus = stack.enter_context(
-                Bus("uav", endpoint, namespace, inbox, args.log_level, secure=args.secure, sole=True)
+                Bus(
+                    "uav",
+                    endpoint,
+                    namespace,
+                    inbox,
+                    args.log_level,
+                    secure=args.secure,
+                    sole=True,
+                    vehicles=() if orders.number is None else (orders.number,),
+                )
             )
             log = bus.log
-            for line in _how_to_join(args, orders, endpoint, namespace, sysid):
+            first = sysid if orders.number is None else sysid - orders.number + 1
+            for line in _how_to_join(args, orders, endpoint, namespace, first):
                 log.info(line)
         signing = None
         if args.sign:
@@ -95,7 +107,9 @@ def _how_to_join(
     """Yield what the log says at first: where the vehicle is, and what starts the services that it needs."""
     needed = "payload, estimator and agent" if args.vehicle else "estimator and agent"
     ends = f"; gives up after {args.wait:g} s (--wait)" if args.vehicle else ""
-    yield f"on the bus at {endpoint} as {namespace}; takes off when {needed} are there{ends}"
+    own = "" if orders.number is None else f"/uav/{orders.number}"
+    needed += "" if orders.number is None else " and all vehicles"
+    yield f"on the bus at {endpoint} as {namespace}{own}; takes off when {needed} are there{ends}"
     joining = f"--connect {endpoint} --namespace {namespace}"
     joining += f" --secure {args.secure}" if args.secure else ""
     who = "" if args.vehicle and not args.sysid else f" --sysid {sysid}"
@@ -104,6 +118,6 @@ def _how_to_join(
         f"its estimator: plumeward estimator {joining} --rate {release.q!r} --diffusivity "
         f"{release.d!r}{orders.estimator}{who}"
     )
-    yield f"its agent: plumeward agent {joining}{who}"
+    yield f"its agent: plumeward agent {joining}{orders.agent}{who}"
     if args.vehicle:
         yield f"its payload: plumeward payload {joining}"

@@ -33,7 +33,7 @@ from aircraft.state import Arrived, Reached, TakenOver, VehicleFailed
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, STOP, WAYPOINT
 from link.bus.log import Log
-from link.bus.mavlink import BadFrame, Codec, Message, unpack_waypoint
+from link.bus.mavlink import BadFrame, Codec, Message, unpack_plan, unpack_waypoint
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.bus.tally import FAULT
 from link.interrupts import uninterrupted
@@ -214,7 +214,15 @@ class Uav:
 
     def _hear(self, bus: Bus, arrival: Arrival) -> None:
         """Take a message from the bus. Raises BadFrame."""
-        if arrival.key is WAYPOINT:
+        if arrival.key is WAYPOINT and self._sensor.among > 1:
+            waypoint, places = unpack_plan(arrival.payload, self._clients.system)
+            if len(places) != self._sensor.among:
+                raise BadFrame(
+                    f"{len(places)} waypoints; wanted one for each of {self._sensor.among} vehicles"
+                )
+            if self._answer(waypoint):
+                self._sensor.go(places)
+        elif arrival.key is WAYPOINT:
             self._answer(unpack_waypoint(arrival.payload, self._clients.system))
         elif arrival.key is STOP:
             if stop := bus.take_stop(arrival):
@@ -224,7 +232,8 @@ class Uav:
         else:
             self._clients.take(arrival)
 
-    def _answer(self, waypoint: Message) -> None:
+    def _answer(self, waypoint: Message) -> bool:
+        """Take the answer to a reading; returns whether it is accepted."""
         with self._handling.of(waypoint):
             now_s = self._clock.now_s()
             result = self._search.answer(waypoint, now_s)
@@ -234,6 +243,8 @@ class Uav:
             elif result.code == mavlink.MAV_RESULT_DENIED:
                 self._tally.refuse("waypoint")
                 self._clients.refuse(result, now_s)
+            return result.accepted
+        return False
 
     # ---- the search ----
 

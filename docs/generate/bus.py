@@ -10,7 +10,8 @@ import msgspec
 
 from link.access.roles import MOST_VEHICLES, OF_ALL_VEHICLES, SERVICES
 from link.bus.inbox import MOST_OTHERS, WAITING_BYTES, WAITING_MESSAGES
-from link.bus.keys import BELIEF, KEYS, Key
+from link.bus.keys import BELIEF, HEALTH, KEYS, OF_A_VEHICLE, Key
+from link.bus.messages import RoundReading
 from link.bus.opening import DEFAULT_ROUTER
 
 HEAD = f"""# The bus
@@ -22,7 +23,8 @@ you can replace vehicle, estimator or agent by a program of your own, in any lan
 
 Connect to a router as a Zenoh 1.x **client**, with multicast scouting off: a router relays clients, not peers. The default endpoint is
 `{DEFAULT_ROUTER}`; a mission prints its own. Every key below lies in the vehicle's namespace, `uav/<id>`: the belief of vehicle 1 is
-on `uav/1/belief`. Set `namespace` in the Zenoh configuration, or write the full keys.
+on `uav/1/belief`. Set `namespace` in the Zenoh configuration, or write the full keys. [Several vehicles](#several-vehicles) that search
+together share a namespace, `search/<id>`.
 
 ## Keys
 
@@ -31,6 +33,9 @@ Unless the last column says otherwise, a key is reliable, its publisher waits un
 """
 
 MIB = WAITING_BYTES // 2**20
+_OF_SERVICES = ", ".join(f"`{HEALTH.named(service)}`" for service in sorted(OF_A_VEHICLE, reverse=True))
+OWN = ", ".join([*(f"`{key.name}`" for key in KEYS if key.own), _OF_SERVICES])
+SHARED = ", ".join(f"`{key.name}`" for key in KEYS if not key.own) + " of the other services"
 RULES = f"""
 ## Frames
 
@@ -71,6 +76,34 @@ The search plane has x east and y north: (x, y) = (NED y, NED x). Its wind vecto
 A real autopilot has no gas sensor. Its vehicle asks the payload on `payload/in`, and takes off once `health/payload` is there, too. It asks again
 at the intervals of step 4. The payload repeats its answer to the same question; a new question replaces the one before. After NaN the vehicle
 asks anew, with a later `time_boot_ms` and the same `sample`.
+
+## Several vehicles
+
+Vehicles that [search together](fleet.md) are numbered from 1. Their search is a namespace, `search/<id>`, with one estimator, one agent, one
+belief and one stop. In it each vehicle has keys of its own below `uav/<number>`, the others are the search's:
+
+| of each vehicle | of the search |
+|---|---|
+| {OWN} | {SHARED} |
+
+So the readings of vehicle 2 are on `search/1/uav/2/reading`, and the belief that takes them on `search/1/belief`. Messages are the same but for
+these:
+
+1. A **round** has one reading of each vehicle: round k has reading k of each, counted from 0 by the order of their times. The estimator takes a
+   round when the last of its readings has come, and then in the order of the vehicles. So neither speed nor delays change the order: it is
+   that of rounds, then of vehicles.
+2. One **belief** answers a round. Its `readings` say whose and which; its own `time_boot_ms`, `position`, `altitude_m` and `gas` are the last
+   vehicle's, and its `step` is the number of the round. Each vehicle has a clock of its own, so a `time_boot_ms` identifies a reading only
+   together with its vehicle.
+3. One **waypoint** message answers a belief. It has a SET_POSITION_TARGET_LOCAL_NED for each vehicle, in their order, with the system id and the
+   `time_boot_ms` of its reading. A vehicle flies to its own, and knows from the others where all go.
+4. A reading that comes **late** holds up its round: the others wait where they are. It is never left out, nor taken in a later round; one from
+   before its vehicle's newest is refused as `late`. A vehicle publishes its reading again until it has a waypoint, as one alone does. The
+   estimator repeats a belief for a vehicle whose newest reading has been answered; while a reading waits for its round, it has no answer.
+5. The search begins when estimator, agent and all vehicles are there, by their tokens: no vehicle takes off before.
+6. The stop is one, and ends the search of all.
+
+`--secure` has no roles for a search of several yet.
 
 ## Late joiners
 
@@ -191,6 +224,9 @@ def _type(schema: dict[str, Any]) -> str:
         return "[" + ", ".join(_type(item) for item in schema["prefixItems"]) + "]"
     if "additionalProperties" in schema and schema["type"] == "object":
         return f"object of {_type(schema['additionalProperties'])}"
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return f"[{name}](#{name.lower()})"
     if schema.get("items"):
         return f"array of {_type(schema['items'])}"
     if "minimum" in schema and "maximum" in schema:
@@ -237,7 +273,9 @@ itself on the bus.
 
 def bus_document() -> str:
     """Return the whole page."""
-    messages = [_message(key.payload) for key in KEYS if not isinstance(key.payload, str)]
+    kinds = [key.payload for key in KEYS if not isinstance(key.payload, str)]
+    kinds.insert(1, RoundReading)  # in a belief
+    messages = [_message(kind) for kind in kinds]
     return (
         HEAD
         + "\n"

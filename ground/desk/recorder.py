@@ -67,6 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     cli.add_output_guard(parser)
     cli.add_bus_arguments(parser)
+    cli.add_vehicles_argument(parser)
     parser.add_argument(
         "--about",
         type=_about,
@@ -81,7 +82,14 @@ def run(args: argparse.Namespace) -> int:
     os.environ.setdefault("ZENOH_RUNTIME", FEW_THREADS)
     if reason := cli.existing("FILE.mcap", _files(args.file), args.force):
         raise cli.BadInput(reason)
-    with Tap("recorder", args.connect, args.namespace, args.log_level, secure=args.secure) as bus:
+    with Tap(
+        "recorder",
+        args.connect,
+        args.namespace,
+        args.log_level,
+        secure=args.secure,
+        vehicles=cli.numbers(args.vehicles),
+    ) as bus:
         try:
             writer = begin(args.file, args.force, {**args.about, **surroundings(args.namespace)})
         except OSError as error:

@@ -4,10 +4,10 @@ import math
 from typing import Any
 
 from link.bus.frames import frames_in
-from link.bus.keys import BELIEF, MAVLINK_OUT, READING, WAYPOINT
+from link.bus.keys import BELIEF, MAVLINK_OUT, READING, WAYPOINT, row_name, vehicle_of
 from link.record.record import Entry
 from scene.follow.area import PLACING
-from scene.follow.history import begun
+from scene.follow.history import FIRST, begun
 from scene.follow.telemetry import ATTITUDE, GLOBAL, LOCAL, TEXT
 from scene.foxglove import Encoded, SceneEncoder, pose_slot
 
@@ -40,6 +40,10 @@ class RecordedScene:
             return []
 
     def _take(self, entry: Entry, stamp_ns: int) -> list[Encoded]:
+        if number := vehicle_of(entry.key):
+            if number != str(FIRST):
+                return []
+            entry = entry._replace(key=row_name(entry.key))
         news = self._news(entry) if entry.key == MAVLINK_OUT.name else ()
         if entry.key == MAVLINK_OUT.name and not news:
             return []

@@ -16,10 +16,10 @@ from rich.live import Live
 
 from link import cli
 from link.access.roles import MOST_VEHICLES
-from link.bus.keys import HEALTH
+from link.bus.keys import HEALTH, OF_VEHICLE
 from link.bus.messages import Health
 from link.bus.opening import NoRouter
-from link.bus.session import Arrival, Bus, LivelinessChange
+from link.bus.session import Arrival, Bus, LivelinessChange, part_of
 from link.terminal import Column, table, tell, width_of
 from scene.follow.parts import (
     MISSING,
@@ -78,9 +78,9 @@ class Board:
             if name not in self._wanted:
                 del self._parts[name]
 
-    def hears(self, health: Health, now_s: float) -> None:
-        """Take a part's health message."""
-        if part := self._part(health.service, now_s):
+    def hears(self, health: Health, now_s: float, name: str = "") -> None:
+        """Take a part's health message. name: the part's, by default that of its service."""
+        if part := self._part(name or health.service, now_s):
             if part.health is not None and health.uptime_s != part.health.uptime_s:
                 part.spoke_s = now_s
             part.health = health
@@ -141,9 +141,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _join(joined: ExitStack, args: argparse.Namespace, namespace: str | None) -> Bus:
-    """Join the bus of a vehicle; without a namespace, the whole router."""
+    """Join the bus of a vehicle or of a search by several; without a namespace, the whole router."""
     return joined.enter_context(
-        Bus("status", args.connect, namespace, log_level=args.log_level, announced=False, secure=args.secure)
+        Bus(
+            "status",
+            args.connect,
+            namespace,
+            log_level=args.log_level,
+            announced=False,
+            secure=args.secure,
+            vehicles=() if namespace is None else (1,),  # it then hears the health of all vehicles, if any
+        )
     )
 
 
@@ -182,7 +190,10 @@ def _look(joined: ExitStack, args: argparse.Namespace, shown: Live | None) -> bo
 def _meet(joined: ExitStack, args: argparse.Namespace, namespace: str) -> tuple[Bus, Board]:
     """Join the bus of a vehicle, and begin to judge its parts."""
     bus = _join(joined, args, namespace)
-    board = Board(args.parts or PARTS, bus.services(), time.monotonic(), only_wanted=bool(args.parts))
+    alive = bus.services()
+    flying = sorted(part for part in alive if part.startswith(OF_VEHICLE))
+    usual = [*flying, *(part for part in PARTS if part != "uav")] if flying else PARTS
+    board = Board(args.parts or usual, alive, time.monotonic(), only_wanted=bool(args.parts))
     bus.watch_services()
     bus.subscribe(HEALTH)
     return bus, board
@@ -197,7 +208,7 @@ def _hear(bus: Bus, board: Board, for_s: float) -> None:
                 board.lives(service, alive, time.monotonic())
             case Arrival() as message:
                 if (health := bus.decode(message, Health)) is not None:
-                    board.hears(health, time.monotonic())
+                    board.hears(health, time.monotonic(), part_of(message.name))
 
 
 def _show(

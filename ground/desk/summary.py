@@ -18,10 +18,11 @@ import msgspec
 from ground.desk.survey import KeyTable, Survey
 from ground.tlog.log import NAMES, FlightLog, open_log
 from link import cli
+from link.bus.keys import row_name
 from link.bus.mavlink import BadFrame
 from link.record.decoded import decode, decode_reading
 from link.record.reader import LogFile, RecordError, is_record
-from link.record.record import FRAME_KEYS, Entry
+from link.record.record import Entry, has_frames
 from link.terminal import Column, printable, table, tell, width_of
 from plume.outcome import assumed_text, gas_lines, outcome, outcome_text, outside_text, verdict
 from plume.scenario import AS_MODELLED, Scenario
@@ -184,7 +185,7 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         lines = [f"{ended} after {last.step} steps", estimate]
         gas = gas_lines(last.intermittency, last.advised_dwell)
         return plain, [*lines, assumed_text(last.assume, last.stop, world), *gas]
-    trace = [point for _, point in sorted(survey.trace.items())]
+    trace = [point for _, points in sorted(survey.trace.items()) for point in points]
     # It has no seed, policy and search time.
     result = outcome(
         0,
@@ -222,9 +223,9 @@ def _of_record(entries: Iterable[Entry], only: str = "") -> Messages:
 def _decoded(entry: Entry) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield (export name, fields) of a message; nothing for a message that breaks the bus contract."""
     with suppress(BadFrame, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        if entry.key == "reading":
-            yield "reading", msgspec.structs.asdict(decode_reading(entry.payload))
-        elif entry.key in FRAME_KEYS:
+        if row_name(entry.key) == "reading":
+            yield entry.key, msgspec.structs.asdict(decode_reading(entry.payload))
+        elif has_frames(entry.key):
             for kind, fields in decode(entry.payload):
                 yield f"{entry.key}/{kind}", json.loads(fields)
         else:

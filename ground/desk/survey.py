@@ -12,7 +12,7 @@ import msgspec
 
 from ground.tlog.log import LISTED, few
 from link.bus.mavlink import WRAP_MS
-from link.bus.messages import Belief, Stop
+from link.bus.messages import Belief, Stop, by_vehicle
 from link.record.record import Entry, began_s
 from link.terminal import printable
 from plume.outcome import TracePoint
@@ -46,7 +46,8 @@ class Survey:
         # The times of all readings, ms; `answered` has those of beliefs, as time_boot_ms, which wraps.
         self.asked: set[int] = set()
         self.answered: set[int] = set()
-        self.trace: dict[int, TracePoint] = {}  # by step, what the first belief of the step says
+        # By step, what the first belief of the step says: a point of each vehicle.
+        self.trace: dict[int, list[TracePoint]] = {}
         self.last: Belief | None = None  # the first belief of the last step
         self.restarts: Counter[str] = Counter()
         # Digests of the messages of the keys whose repeats mean something.
@@ -134,7 +135,10 @@ class Survey:
 
     def _hear(self, key: str, message: msgspec.Struct) -> None:
         if isinstance(message, Belief) and message.step not in self.trace:
-            self.trace[message.step] = TracePoint(message.position, message.gas, message.mean, message.spread)
+            self.trace[message.step] = [
+                TracePoint(own.position, own.gas, own.mean, own.spread, number)
+                for number, own in enumerate(by_vehicle(message), 1)
+            ]
             self.answered.add(message.time_boot_ms)
             if self.last is None or message.step > self.last.step:
                 self.last = message

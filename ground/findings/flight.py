@@ -10,9 +10,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from link.bus.keys import BELIEF, READING
+from link.bus.keys import BELIEF, READING, row_name, vehicle_of
 from link.bus.mavlink import Reading, unpack_reading
-from link.bus.messages import Belief, Particles, unpack_particles
+from link.bus.messages import Belief, Particles, by_vehicle, unpack_particles
 from link.record.reader import Recording, read
 from link.record.record import Entry
 from plume.geodesy import to_global
@@ -105,7 +105,11 @@ def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = Non
         return None
     history = history_of(recording)
     readings = _readings(recording.entries)
-    samples = [_sample(said, entry, readings.get(said.time_boot_ms)) for said, entry in beliefs]
+    samples = [
+        _sample(own, entry, readings.get((vehicle if said.readings else 0, own.time_boot_ms)))
+        for said, entry in beliefs
+        for vehicle, own in enumerate(by_vehicle(said), 1)
+    ]
     last, entry = beliefs[-1]
     try:
         particles = unpack_particles(entry.attachment, len(last.unknowns)) if entry.attachment else None
@@ -160,14 +164,17 @@ def _beliefs(entries: Iterable[Entry]) -> list[tuple[Belief, Entry]]:
     return [found[step] for step in sorted(found)]
 
 
-def _readings(entries: Iterable[Entry]) -> dict[int, tuple[Reading, Entry]]:
-    """Return the readings by their time_boot_ms; of one that was sent again the first."""
-    found: dict[int, tuple[Reading, Entry]] = {}
+def _readings(entries: Iterable[Entry]) -> dict[tuple[int, int], tuple[Reading, Entry]]:
+    """Return the readings by the number of their vehicle, 0 of one alone, and their time_boot_ms.
+
+    Of one that was sent again it is the first.
+    """
+    found: dict[tuple[int, int], tuple[Reading, Entry]] = {}
     for entry in entries:
-        if entry.key == READING.name:
+        if row_name(entry.key) == READING.name:
             with suppress(ValueError):  # BadFrame among them
                 said = unpack_reading(entry.payload)
-                found.setdefault(said.time_boot_ms, (said, entry))
+                found.setdefault((int(vehicle_of(entry.key) or 0), said.time_boot_ms), (said, entry))
     return found
 
 

@@ -17,9 +17,20 @@ from ground.replay.source import SERVICES, VEHICLE_KEYS, Source, reading_time
 from ground.replay.verify import Answer, Difference, Rules
 from link.bus.backoff import Backoff
 from link.bus.inbox import Inbox
-from link.bus.keys import BELIEF, HEALTH, READING, RESEND_FIRST_S, RESEND_LAST_S, STOP, WAYPOINT
-from link.bus.messages import Belief, Health, unpack_particles
+from link.bus.keys import (
+    BELIEF,
+    HEALTH,
+    READING,
+    RESEND_FIRST_S,
+    RESEND_LAST_S,
+    STOP,
+    WAYPOINT,
+    row_name,
+    vehicle_of,
+)
+from link.bus.messages import Belief, Health, by_vehicle, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange
+from link.cli import numbers
 from link.record.record import Entry
 from plume.outcome import interval
 from sitl.launch.processes import RECORDER, Ended, LogLine, Processes, raise_for, secure_words
@@ -48,7 +59,10 @@ def replay(
         started = ", ".join(["router", *source.parts]) if connect is None else "replay"
         progress = stack.enter_context(Progress(max(len(readings) - 1, 0), started))
         endpoint = connect or _start(stack.enter_context(Processes(inbox)), source, secure, record)
-        bus = stack.enter_context(Bus("uav", endpoint, source.namespace, inbox, secure=secure))
+        together = numbers(source.vehicles)
+        bus = stack.enter_context(
+            Bus("uav", endpoint, source.namespace, inbox, secure=secure, vehicles=together)
+        )
         bus.subscribe(BELIEF, STOP, WAYPOINT, HEALTH)
         bus.watch_services()
         progress.say(f"replay: {source.path} as {source.namespace}, {pace(speedup)}, router at {endpoint}")
@@ -64,7 +78,9 @@ def _start(processes: Processes, source: Source, secure: Path | None, record: Pa
     joining = "--connect", endpoint, "--namespace", source.namespace, *secure_words(secure)
     if record:
         about = msgspec.json.encode(source.about).decode()
-        processes.answer(processes.start(RECORDER, "sitl", "record", str(record), *joining, "--about", about))
+        together = ("--vehicles", str(source.vehicles)) if source.vehicles > 1 else ()
+        recording = "record", str(record), *joining, "--about", about, *together
+        processes.answer(processes.start(RECORDER, "sitl", *recording))
     for part, words in source.parts.items():
         processes.start(part, part, *joining, *words)
     return endpoint
@@ -80,6 +96,7 @@ class Player:
         self._progress = progress
         self._rules = rules
         self._own = own
+        self._last = source.vehicles if source.vehicles > 1 else None  # number of the last vehicle of several
         available = {kind for kind, service in SERVICES.items() if not own or service in source.parts}
         available -= rules.ignored if rules else frozenset()
         self._awaited = deque(key for key in source.then if key[1] in available)
@@ -130,10 +147,15 @@ class Player:
                     self._begin(entry, time_ms)
             if self.difference:
                 return
-            self._bus.publish(VEHICLE_KEYS[entry.key], entry.payload, entry.attachment or None)
+            self._publish(entry)
         self._wait_for_answers()
         if self._rules and any(self._must_be_silent((self._latest_ms, kind)) for kind in SERVICES):
             self._listen(time.monotonic() + max(SETTLE_S, 2 * self._slowest_s))
+
+    def _publish(self, entry: Entry) -> None:
+        number = int(vehicle_of(entry.key) or 0) or self._last
+        key = VEHICLE_KEYS[row_name(entry.key)]
+        self._bus.publish(key, entry.payload, entry.attachment or None, vehicle=number)
 
     # ---- waiting ----
 
@@ -191,7 +213,7 @@ class Player:
         """
         while not self.difference and (self._due or not for_answers) and (now := time.monotonic()) < until:
             if self._due and self._resending.due(now):
-                self._bus.publish(READING, self._reading)
+                self._bus.publish(READING, self._reading, vehicle=self._last)
             self._take(self._bus.receive(min(until, self._resending.due_s if self._due else math.inf) - now))
 
     # ---- what arrives ----
@@ -272,7 +294,10 @@ class Player:
     def _show(self, belief: Belief | None) -> None:
         if belief is not None:
             if self.last:
-                self._flown_m += math.dist(self.last.position, belief.position)
+                self._flown_m += sum(
+                    math.dist(before.position, now.position)
+                    for before, now in zip(by_vehicle(self.last), by_vehicle(belief), strict=False)
+                )
             if belief.ceased and self.ceased_at is None:
                 self.ceased_at = belief.step
             self.last = belief

@@ -10,6 +10,8 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+from link.cli import MOST_VEHICLES
+
 # A name, perhaps with numbers: no flag, no path.
 Plain = Annotated[str, Meta(pattern=r"\A[A-Za-z][\w:=.,+ -]*\Z", max_length=200)]
 # The name of a policy, not the file of one.
@@ -42,6 +44,7 @@ class Estimator(_Settings, frozen=True):
     diffusivity: float | None = None
     lifetime: float | None = None
     prior: list[Plain] = []
+    vehicles: Annotated[int, Meta(ge=1, le=MOST_VEHICLES)] | None = None
 
 
 class Agent(_Settings, frozen=True):
@@ -52,6 +55,7 @@ class Agent(_Settings, frozen=True):
     headings: int | None = None
     step: float | None = None
     measurements: int | None = None
+    separation: float | None = None
     waypoints: list[Waypoints] = []
 
 

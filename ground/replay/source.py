@@ -15,9 +15,9 @@ from ground.replay import settings, verify
 from ground.replay.verify import Answer, Rules
 from ground.tlog import flight
 from ground.tlog.flight import LoggedFlight
-from link.bus.keys import HEALTH, MAVLINK_OUT, READING
+from link.bus.keys import HEALTH, MAVLINK_OUT, READING, row_name, vehicle_of
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
-from link.cli import BadInput
+from link.cli import MOST_VEHICLES, BadInput
 from link.record.reader import RecordError, is_record, read
 from link.record.record import Entry
 from plume.problem import PAPER, Problem, in_area, square
@@ -84,6 +84,9 @@ class Source(NamedTuple):
     problem: Problem = PAPER  # where the search flew
     notes: tuple[str, ...] = ()  # remarks on the log, one line each
     home: tuple[float, float] | None = None  # latitude and longitude of a log's home, degrees
+    # Vehicles that searched together. Keys of the last one have their plain names in `entries`: its reading
+    # is the last of a round, which the services answer.
+    vehicles: int = 1
 
     @property
     def about(self) -> dict[str, Any]:
@@ -93,6 +96,7 @@ class Source(NamedTuple):
             "parts": dict(self.parts),
             "problem": msgspec.to_builtins(self.problem),
             "mission": {"about": f"replay of {self.path.name}"},
+            **({"fleet": {"vehicles": self.vehicles}} if self.vehicles > 1 else {}),
             "log": {"file": self.path.name, "notes": self.notes},
         }
 
@@ -105,8 +109,14 @@ class _Mission(msgspec.Struct, frozen=True):
     world: str = AS_MODELLED
 
 
+class _Fleet(msgspec.Struct, frozen=True):
+    vehicles: Annotated[int, msgspec.Meta(ge=1, le=MOST_VEHICLES)] = 1
+
+
 class _About(msgspec.Struct, frozen=True):
     """The fields used of a recording's own description."""
+
+    fleet: _Fleet = _Fleet()
 
     parts: dict[str, list[str]] = {}
     namespace: Annotated[str, msgspec.Meta(pattern=r"\A[\w.-]+(/[\w.-]+)*\Z", max_length=200)] = FIRST_VEHICLE
@@ -139,7 +149,8 @@ def recording(path: Path, bundle: str | None = None) -> Source:
                 unfit[service] = f"{path} starts its {service} with {error}, which a record may not do{hint}"
     note = ""
     sure_ms = sure_ns = math.inf
-    sound = log.entries[: log.damage[0].before] if log.damage else log.entries
+    entries = _as_the_last_one_says(log.entries, told.fleet.vehicles)
+    sound = entries[: log.damage[0].before] if log.damage else entries
     then = verify.said(sound)
     asked: dict[int, int] = {}  # by the time of a reading, when it was published first
     for entry in sound:
@@ -154,9 +165,12 @@ def recording(path: Path, bundle: str | None = None) -> Source:
         sure_ms = max((time for time, ns in asked.items() if ns <= sure_ns - OVERTAKE_NS), default=-1)
     return Source(
         path,
-        sorted(
-            (entry for entry in log.entries if entry.key in VEHICLE_KEYS),
-            key=lambda entry: entry.published_ns,
+        _in_rounds(
+            sorted(
+                (entry for entry in entries if row_name(entry.key) in VEHICLE_KEYS),
+                key=lambda entry: entry.published_ns,
+            ),
+            told.fleet.vehicles,
         ),
         then,
         parts,
@@ -176,7 +190,42 @@ def recording(path: Path, bundle: str | None = None) -> Source:
         world=told.mission.world,
         problem=told.problem,
         notes=(note,) if note else (),
+        vehicles=told.fleet.vehicles,
     )
+
+
+def _as_the_last_one_says(entries: list[Entry], vehicles: int) -> list[Entry]:
+    """Return messages with the plain names for the keys of the last one of several vehicles."""
+    if vehicles == 1:
+        return entries
+    return [
+        entry._replace(key=row_name(entry.key)) if vehicle_of(entry.key) == str(vehicles) else entry
+        for entry in entries
+    ]
+
+
+def _in_rounds(entries: list[Entry], vehicles: int) -> list[Entry]:
+    """Return messages so that the last vehicle's reading of each round comes after those of the others."""
+    if vehicles == 1:
+        return entries
+    read: dict[str, set[int | None]] = {str(number): set() for number in range(1, vehicles)}
+    own: set[int | None] = set()
+    ordered: list[Entry] = []
+    held: list[tuple[int, Entry]] = []  # with the number of their round, from 1
+    for entry in entries:
+        if row_name(entry.key) != READING.name:
+            ordered.append(entry)
+            continue
+        if entry.key == READING.name:
+            own.add(reading_time(entry))
+            held.append((len(own), entry))
+        else:
+            read.setdefault(vehicle_of(entry.key), set()).add(reading_time(entry))
+            ordered.append(entry)
+        whole = min(map(len, read.values()))
+        ordered += [each for number, each in held if number <= whole]
+        held = [(number, each) for number, each in held if number > whole]
+    return ordered + [entry for _, entry in held]
 
 
 def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:

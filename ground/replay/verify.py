@@ -210,6 +210,16 @@ def _waypoints(payload: bytes) -> list[Answer]:
         messages = unpack(payload)
     except BadFrame:
         return []
+    systems = {
+        message.target_system for message in messages if message.get_type() == SETPOINT_MESSAGE.msgname
+    }
+    if len(systems) == len(messages) > 1:  # the answer to a round of several vehicles, at the last one's time
+        places = {
+            f"{name} of {message.target_system}": _float32(getattr(message, name))
+            for message in messages
+            for name in SETPOINT_MESSAGE.fieldnames
+        }
+        return [Answer("waypoint", messages[-1].time_boot_ms, places)]
     return [
         Answer(
             "waypoint",

@@ -21,12 +21,12 @@ import zenoh
 from aircraft.operator import AUTOPILOT, SEARCH
 from link.access.identity import AccessError, secured
 from link.access.roles import MOST_VEHICLES
-from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT
+from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, row_name, vehicle_of
 from link.bus.opening import NoRouter
 from link.bus.session import Arrival, Bus
 from link.record.record import SimulationClock
 from link.record.tap import Tap
-from scene.follow.history import begun
+from scene.follow.history import FIRST, begun
 from scene.scene import Scene
 
 # Commands go out now or never: what waited here would go out late, when nobody wants it any more. They are
@@ -34,6 +34,8 @@ from scene.scene import Scene
 COMMAND_KEY = replace(MAVLINK_IN, delivery=replace(MAVLINK_IN.delivery, blocking=False))
 # A namespace and its slash. A token may also be for a pattern of keys, such as uav/*: that is no vehicle.
 NAMESPACE = re.compile(r"[^*$\x00-\x1f\x7f]{1,200}/")
+# A vehicle of a search by several: the namespace of the search, and the vehicle's number there.
+TOGETHER = re.compile(r"(search/.+)/uav/([1-9]\d?)")
 CROWDED = f"warning: more than {MOST_VEHICLES} vehicles on the router; only the first ones are shown"
 MOST_CHANGES = 10_000  # changes that wait; beyond that the oldest are dropped
 EVERY_S = 0.01  # how often messages are taken
@@ -104,7 +106,9 @@ class LiveVehicle:
         self.here = True
         self.version = 0  # grows with each change of what there is to see
         self.listeners: set[Callable[[bytes], None]] = set()  # called in the bus's thread with telemetry
-        self.history = begun(about, name)
+        search = TOGETHER.fullmatch(name)
+        self._number = search[2] if search else ""  # in a search by several
+        self.history = begun(about, name, number=int(self._number or FIRST))
         self._clock = SimulationClock()
         self._frozen_s: float | None = None
         self._lock = threading.Lock()
@@ -114,10 +118,11 @@ class LiveVehicle:
         self._bus = Tap(
             "view",
             router,
-            name,
+            search[1] if search else name,
             "error",
             announced=False,
             secure=secure,
+            vehicles=(int(self._number),) if search else (),
             connect__timeout_ms=CONNECT_TIMEOUT_MS,
         )
         self._bus.subscribe(*KEYS)
@@ -172,8 +177,10 @@ class LiveVehicle:
         return changed
 
     def _take(self, message: Arrival) -> bool:
+        if vehicle_of(message.name) not in ("", self._number):
+            return False  # the health of another
         time_s = self._clock.time_s(message.name, message.payload, message.published_ns)
-        if message.name == MAVLINK_OUT.name:
+        if row_name(message.name) == MAVLINK_OUT.name:
             for listener in tuple(self.listeners):
                 listener(message.payload)
         return self.history.take(
@@ -225,6 +232,9 @@ class LiveFleet:
         self._secure = secure
         self._ended = threading.Event()
         self._missed_s: dict[tuple[str, str], float] = {}  # parts that may be gone, and since when
+        self._shared: dict[
+            str, dict[str, bool]
+        ] = {}  # the services of each search by several, if they are there
         self._crowded = False
         self._trouble = ""
         self._thread = threading.Thread(
@@ -319,10 +329,13 @@ class LiveFleet:
         """Take a change; returns False if it has to wait for the router."""
         name, service, alive = presence
         if not alive:
-            if name in self.vehicles:
+            if name in self.vehicles or name in self._shared:
                 self._missed_s[name, service] = now_s
             return True
         self._missed_s.pop((name, service), None)
+        if name.startswith("search/") and not TOGETHER.fullmatch(name):
+            self._lives(name, service, True)
+            return True
         if name not in self.vehicles and len(self.vehicles) >= MOST_VEHICLES:
             if not self._crowded:
                 self._say(CROWDED)
@@ -334,18 +347,36 @@ class LiveFleet:
             except (NoRouter, AccessError):
                 return False
             self.vehicles = {**self.vehicles, name: vehicle}
-        self.vehicles[name].lives(service, True)
-        self._list_changed()
+            for shared, there in self._shared.get(_search_of(name), {}).items():
+                vehicle.lives(shared, there)
+        self._lives(name, service, True)
         return True
+
+    def _lives(self, name: str, service: str, alive: bool) -> None:
+        """Tell a vehicle that a part of it is there or gone; of a search by several, all its vehicles."""
+        if name in self.vehicles:
+            self.vehicles[name].lives(service, alive)
+        elif name in self._shared or len(self._shared) < MOST_VEHICLES:
+            self._shared.setdefault(name, {})[service] = alive
+            for vehicle in self.vehicles.values():
+                if _search_of(vehicle.name) == name:
+                    vehicle.lives(service, alive)
+        self._list_changed()
 
     def _about_of(self, name: str) -> dict[str, Any]:
         namespace = self._about.get("namespace")
-        return self._about if namespace == name or (namespace is None and not self.vehicles) else {}
+        known = namespace in (name, _search_of(name)) or (namespace is None and not self.vehicles)
+        return self._about if known else {}
 
     def _bury(self, now_s: float) -> None:
         """Report the parts that have been gone for long enough."""
         for (name, service), since_s in tuple(self._missed_s.items()):
             if now_s - since_s >= GONE_AFTER_S:
                 del self._missed_s[name, service]
-                self.vehicles[name].lives(service, False)
-                self._list_changed()
+                self._lives(name, service, False)
+
+
+def _search_of(name: str) -> str:
+    """Return the search that a vehicle belongs to; its own name if it searches alone."""
+    search = TOGETHER.fullmatch(name)
+    return search[1] if search else name

@@ -6,6 +6,8 @@ from link.access.roles import AGENT, BRIDGE, ESTIMATOR, EVERYBODY, OPERATOR, PAY
 from link.bus.messages import Belief, Health, Stop
 
 FRAMES = "MAVLink 2 frames"
+OF_VEHICLE = "uav/"  # the keys of a vehicle of a search begin with it, and with the vehicle's number
+OF_A_VEHICLE = frozenset({"uav", "payload"})  # the services of which each vehicle of a search has its own
 MIB = 2**20
 
 
@@ -25,7 +27,10 @@ class Delivery:
 
 @dataclass(frozen=True)
 class Key:
-    """One row of the contract. `name` is relative to the vehicle's namespace (`uav/<id>`)."""
+    """One row of the contract. `name` is relative to the vehicle's namespace (`uav/<id>`).
+
+    In the namespace of a search (`search/<id>`) each vehicle has its own keys below `uav/<number>`.
+    """
 
     name: str
     payload: type | str
@@ -38,10 +43,23 @@ class Key:
     writers: tuple[str, ...] = ()
     readers: tuple[str, ...] = ()
     most_mib: int = 1  # most MiB of a message and its attachment: the router drops a larger one
+    own: bool = False  # whether each vehicle of a search has its own; else the search has one
 
-    def named(self, service: str = "*") -> str:
-        """Return its name with a service in it; `*`: all of them."""
-        return self.name.replace("<service>", service)
+    def named(self, service: str = "*", vehicle: int | None = None) -> str:
+        """Return its name with a service in it; `*`: all of them.  vehicle: whose it is in a search."""
+        name = self.name.replace("<service>", service)
+        return name if vehicle is None else f"{OF_VEHICLE}{vehicle}/{name}"
+
+
+def vehicle_of(name: object) -> str:
+    """Return the number of the vehicle of a search whose key this is; empty if it is nobody's own."""
+    number, _, rest = str(name).removeprefix(OF_VEHICLE).partition("/")
+    return number if rest and str(name).startswith(OF_VEHICLE) and number.isdecimal() else ""
+
+
+def row_name(name: str) -> str:
+    """Return the name of a key without the vehicle of a search whose it is."""
+    return name.removeprefix(f"{OF_VEHICLE}{number}/") if (number := vehicle_of(name)) else name
 
 
 MAVLINK_OUT = Key(
@@ -60,6 +78,7 @@ MAVLINK_OUT = Key(
     "those of its search.",
     writers=(VEHICLE, BRIDGE),
     readers=(BRIDGE, ROS2),
+    own=True,
 )
 MAVLINK_IN = Key(
     "mavlink/in",
@@ -73,6 +92,7 @@ MAVLINK_IN = Key(
     "A real vehicle's autopilot gets them unchanged; commands to component 191 are for its search.",
     writers=(BRIDGE, OPERATOR, ROS2),
     readers=(VEHICLE, BRIDGE),
+    own=True,
 )
 WAYPOINT = Key(
     "waypoint",
@@ -83,7 +103,7 @@ WAYPOINT = Key(
     "1 per belief",
     "The answer to a reading: one SET_POSITION_TARGET_LOCAL_NED with the reading's time_boot_ms. All else on "
     "this key is refused, and "
-    "nothing on another key answers a reading.",
+    "nothing on another key answers a reading. In a search, one such frame for each vehicle.",
     writers=(AGENT,),
     readers=(VEHICLE,),
 )
@@ -98,6 +118,7 @@ READING = Key(
     "vehicle the autopilot's. All readings are kept for late joiners.",
     writers=(VEHICLE,),
     readers=(ESTIMATOR, ROS2),
+    own=True,
 )
 PAYLOAD_IN = Key(
     "payload/in",
@@ -111,6 +132,7 @@ PAYLOAD_IN = Key(
     "`sample`, the number of the reading, with one time_boot_ms.",
     writers=(VEHICLE,),
     readers=(PAYLOAD,),
+    own=True,
 )
 PAYLOAD_OUT = Key(
     "payload/out",
@@ -123,6 +145,7 @@ PAYLOAD_OUT = Key(
     "if the payload knows the wind.",
     writers=(PAYLOAD,),
     readers=(VEHICLE,),
+    own=True,
 )
 BELIEF = Key(
     "belief",

@@ -274,6 +274,24 @@ def unpack_waypoint(payload: bytes, system: int) -> Message:
     return message
 
 
+def unpack_plan(payload: bytes, system: int) -> tuple[Message, list[tuple[float, float]]]:
+    """Return the waypoint of this system, of those that answer a round of several vehicles, and all places.
+
+    The places, (x, y) m, are in the order of the vehicles. Raises BadFrame if it is something else, or has
+    none for this system.
+    """
+    frames = split(payload)
+    wanted = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+    if others := [frame.message_id for frame in frames if frame.message_id != wanted]:
+        raise BadFrame(f"message {others[0]}; wanted SET_POSITION_TARGET_LOCAL_NED (84) alone")
+    messages = [message_of(frame) for frame in frames]
+    own = [message for message in messages if message.target_system == system]
+    if len(own) != 1:
+        asked = " ".join(str(message.target_system) for message in messages)
+        raise BadFrame(f"waypoints for {asked}; wanted one for {system}", "other vehicle")
+    return own[0], [(message.y, message.x) for message in messages]
+
+
 # ---- long texts ----
 
 TEXT_LENGTH = 50  # characters of one STATUSTEXT (253); a longer text comes in several

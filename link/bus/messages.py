@@ -29,6 +29,17 @@ Particles = NDArray[np.float32]
 """(N, D + 1): a column for each unknown of the belief, by default x and y, then the weights, of sum 1."""
 
 
+class RoundReading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One reading of a round, of a vehicle that searches together with others."""
+
+    vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle in the search, from 1")]
+    system: Annotated[int, Meta(ge=1, le=255, description="MAVLink system id of the vehicle")]
+    time_boot_ms: Annotated[int, Meta(ge=0, le=MOST, description="time_boot_ms of its reading")]
+    position: Annotated[Pair, Meta(description="where it was taken: (x, y) m")]
+    altitude_m: Annotated[float, Meta(description="height above home at which it was taken, m")]
+    gas: Annotated[float, Meta(description="the gas reading, in the sensor's unit")]
+
+
 class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The posterior after one reading, and the model parameters that a planner needs.
 
@@ -132,6 +143,14 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "places in turn for long; null if it does not"
         ),
     ] = None
+    # Not said at all where one vehicle searches alone.
+    readings: Annotated[
+        tuple[RoundReading, ...] | msgspec.UnsetType,
+        Meta(
+            description="of a search by several vehicles: the readings of the round, one of each vehicle, in "
+            "their order; absent with one vehicle"
+        ),
+    ] = msgspec.UNSET
 
 
 class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -196,6 +215,21 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     system: Annotated[
         int, Meta(ge=0, le=255, description="uav: the vehicle's MAVLink system id; 0: none is told")
     ] = 0
+
+
+def by_vehicle(belief: Belief) -> list[Belief]:
+    """Return a belief as each vehicle of its search sees it: about its own reading."""
+    return [
+        msgspec.structs.replace(
+            belief,
+            time_boot_ms=each.time_boot_ms,
+            position=each.position,
+            altitude_m=each.altitude_m,
+            gas=each.gas,
+            readings=msgspec.UNSET,
+        )
+        for each in belief.readings or ()
+    ] or [belief]
 
 
 def stop_text(stop: Stop) -> str:

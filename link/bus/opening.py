@@ -14,7 +14,7 @@ import zenoh.ext
 from link.access.identity import Identity, is_refused, secured, why_not
 from link.access.reach import host_and_port
 from link.access.roles import ROUTER, access_control
-from link.bus.keys import BELIEF, KEYS, MIB, Delivery, Key
+from link.bus.keys import BELIEF, KEYS, MIB, Delivery
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
@@ -142,14 +142,14 @@ def ask_for_kept(
     )
 
 
-def kept_of(session: zenoh.Session, key: Key) -> list[tuple[bytes, bytes | None]]:
+def kept_of(session: zenoh.Session, name: str, how: Delivery) -> list[tuple[bytes, bytes | None]]:
     """Return the messages of a key that this session itself keeps, oldest first, with their attachments."""
-    if not (most := key.delivery.kept) or "<" in key.name:
+    if not (most := how.kept):
         return []
     return [
         (sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else None)
         for reply in ask_for_kept(
-            session, key.name, most, zenoh.handlers.FifoChannel(most), zenoh.Locality.SESSION_LOCAL
+            session, name, most, zenoh.handlers.FifoChannel(most), zenoh.Locality.SESSION_LOCAL
         )
         if (sample := reply.ok)
     ]

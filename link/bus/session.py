@@ -5,7 +5,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeVar
@@ -16,7 +16,7 @@ import zenoh
 from link.access.identity import secured
 from link.access.roles import OF_ALL_VEHICLES
 from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Drops, Inbox, ServiceNames
-from link.bus.keys import HEALTH, KEYS, Key
+from link.bus.keys import HEALTH, KEYS, OF_A_VEHICLE, OF_VEHICLE, Key, vehicle_of
 from link.bus.log import Log
 from link.bus.messages import Health, Stop, stop_text
 from link.bus.opening import (
@@ -66,6 +66,11 @@ class Arrival(NamedTuple):
         """Bytes that it holds."""
         return len(self.payload) + len(self.attachment)
 
+    @property
+    def vehicle(self) -> int:
+        """The number of the vehicle whose key it came on, in a search of several; else 1."""
+        return int(vehicle_of(self.name) or 1)
+
 
 def most_waiting(key: Key) -> int:
     """Return how many messages of a key may wait.
@@ -80,12 +85,25 @@ def service_of(name: object) -> str:
     return str(name).rpartition("/")[2]
 
 
+def part_of(name: object) -> str:
+    """Return the part of a mission that a key of HEALTH belongs to: `agent`, or in a search `uav/2`."""
+    service, number = service_of(name), vehicle_of(name)
+    return f"{service}/{number}" if number else service
+
+
 def _queue(put: Callable[[Any, int], None], arrival: Arrival) -> None:
     put(arrival, arrival.size)
 
 
+def search_of(namespace: str, services: Collection[str]) -> str:
+    """Return the namespace of the search of several whose vehicle has these services; else its own."""
+    search, _, number = namespace.rpartition(f"/{OF_VEHICLE}")
+    together = search and number.isdecimal() and OF_A_VEHICLE.issuperset(services)
+    return search if together else namespace
+
+
 class LivelinessChange(NamedTuple):
-    """A service joined the bus or left it."""
+    """A service joined the bus or left it: `agent`, or in a search of several vehicles `uav/2`."""
 
     service: str
     alive: bool
@@ -105,6 +123,7 @@ class Bus:
         secure: Path | None = None,
         sole: bool = False,
         certified: str | None = None,
+        vehicles: Iterable[int] = (),
         **settings: Any,
     ) -> None:
         """Join a router as a client.
@@ -119,6 +138,8 @@ class Bus:
         service's role.
         sole: refuse to be here beside an older service of the same name, now and later on.
         certified: the vehicle whose certificate is used, where that is not `namespace`.
+        vehicles: the numbers of those that it deals with, in the namespace of a search of several; a
+        vehicle's own service says its own. Empty: one vehicle, whose namespace it is.
 
         Raises NoRouter if no router admits us in time (open_client), BusError if `connect` is not an
         endpoint or an older one is here, AccessError if we have no certificate that is fit.
@@ -131,15 +152,16 @@ class Bus:
         }
         self.service = service
         self._namespace = namespace
+        self._vehicles = tuple(vehicles)
         self.tally = Tally()
-        self.log = Log(service, namespace or "-", self.tally, log_level)
+        self.log = Log(part_of(self._name(HEALTH)), namespace or "-", self.tally, log_level)
         self._session = open_client(connect, self._identity, self.log.warning, **usual | settings)
         self._standby = Standby(
             lambda: self.connected, lambda within_s: join(connect, within_s, **usual | settings)
         )
         self._inbox = Inbox() if inbox is None else inbox
         self._declaring = threading.Lock()
-        self._publishers: dict[str, Any] = {}
+        self._publishers: dict[str, tuple[Key, Any]] = {}  # by the names of their keys
         # What we hold on the session, behind what makes it: once more, if another session takes its place.
         self._held: dict[str, tuple[Callable[[zenoh.Session], Any], Any]] = {}
         self._sequences: dict[str, Sequence[Arrival]] = {}
@@ -149,15 +171,31 @@ class Bus:
         self._given_at = time.monotonic()
         self._health_at = math.inf
         self._expired = False
-        self._sole = Sole(HEALTH.named(service), lambda: self.tally.uptime_s) if sole else None
+        own_health = self._name(HEALTH)
+        self._sole = Sole(own_health, lambda: self.tally.uptime_s) if sole else None
         if self._sole:
             self._hold("own health", self._sole.listen)
-            if self._sole.await_elder(lambda: service in self.services()):
+            if self._sole.await_elder(lambda: part_of(own_health) in self.services()):
                 self.close()
                 raise self._superfluous()
         if announced:
             self._look_for_rights(HEALTH, HEALTH.writers, "publish", service)
-            self._hold("token", lambda session: session.liveliness().declare_token(HEALTH.named(service)))
+            self._hold("token", lambda session: session.liveliness().declare_token(own_health))
+
+    def _name(self, key: Key, vehicle: int | None = None) -> str:
+        """Return the name on which it publishes: of its own vehicle, unless another is given."""
+        if vehicle is None and self._vehicles and (key.own or self._is_on_board(key)):
+            vehicle = self._vehicles[0]
+        return key.named(self.service, vehicle)
+
+    def _is_on_board(self, key: Key) -> bool:
+        return key is HEALTH and self.service in OF_A_VEHICLE
+
+    def _names_heard(self, key: Key) -> list[str]:
+        """Return the names on which it hears the messages of a key."""
+        if key.own and self._vehicles:
+            return [key.named(vehicle=vehicle) for vehicle in self._vehicles]
+        return [f"**/{key.named()}" if key is HEALTH and self._vehicles else key.named()]
 
     def _hold(self, name: str, declare: Callable[[zenoh.Session], Any]) -> None:
         """Declare something on the session, and on each that takes its place.
@@ -180,22 +218,29 @@ class Bus:
         ):
             self.log.warning(reason)
 
-    def _publisher(self, key: Key) -> Any:
-        if key.name not in self._publishers:
+    def _publisher(self, key: Key, vehicle: int | None) -> Any:
+        if (name := self._name(key, vehicle)) not in self._publishers:
             with self._declaring:
                 self._look_for_rights(key, key.writers, "publish", self.service if key is HEALTH else None)
-                self._publishers[key.name] = declare_publisher(
-                    self._session, key.named(self.service), key.delivery
-                )
-        return self._publishers[key.name]
+                self._publishers[name] = key, declare_publisher(self._session, name, key.delivery)
+        return self._publishers[name][1]
 
-    def publish(self, key: Key, message: bytes | msgspec.Struct, attachment: bytes | None = None) -> None:
-        """Publish a message: bytes as they are, a struct as JSON."""
+    def publish(
+        self,
+        key: Key,
+        message: bytes | msgspec.Struct,
+        attachment: bytes | None = None,
+        vehicle: int | None = None,
+    ) -> None:
+        """Publish a message: bytes as they are, a struct as JSON.
+
+        vehicle: the number of the one whose key it is, in a search; by default its own.
+        """
         payload = message if isinstance(message, bytes) else msgspec.json.encode(message)
         try:
-            self._publisher(key).put(payload, attachment=attachment)
+            self._publisher(key, vehicle).put(payload, attachment=attachment)
         except zenoh.ZError:  # in another thread a new session has taken the place of its session
-            self._publisher(key).put(payload, attachment=attachment)
+            self._publisher(key, vehicle).put(payload, attachment=attachment)
 
     def subscribe(self, *keys: Key, newest: bool = False) -> None:
         """Put the messages of these keys into the inbox, kept ones first.
@@ -227,14 +272,15 @@ class Bus:
 
         def received(sample: zenoh.Sample) -> None:
             if key is HEALTH:
-                heard.add(service_of(sample.key_expr))
+                heard.add(part_of(sample.key_expr))
             if arrival := self._arrival(key, sample):
                 arrived(arrival)
 
-        self._declare(key, received, zenoh.Locality.ANY if own else zenoh.Locality.REMOTE)
+        for name in self._names_heard(key):
+            self._declare(key, name, received, zenoh.Locality.ANY if own else zenoh.Locality.REMOTE)
         if key is HEALTH:  # what is new may come before what is kept
             self._ask_for_kept_health(
-                lambda sample: received(sample) if service_of(sample.key_expr) not in heard else None
+                lambda sample: received(sample) if part_of(sample.key_expr) not in heard else None
             )
 
     def _arrival(self, key: Key, sample: zenoh.Sample) -> Arrival | None:
@@ -259,16 +305,16 @@ class Bus:
         else:
             self._ready.append(item)
 
-    def _declare(self, key: Key, handler: Any, origin: zenoh.Locality = zenoh.Locality.ANY) -> None:
+    def _declare(
+        self, key: Key, name: str, handler: Any, origin: zenoh.Locality = zenoh.Locality.ANY
+    ) -> None:
         self._look_for_rights(key, (*key.readers, *OF_ALL_VEHICLES), "receive")
-        self._hold(
-            key.name, lambda session: declare_subscriber(session, key.named(), key.delivery, handler, origin)
-        )
+        self._hold(name, lambda session: declare_subscriber(session, name, key.delivery, handler, origin))
 
     def _ask_for_kept_health(self, received: Callable[[zenoh.Sample], None]) -> None:
         ask_for_kept(
             self._session,
-            HEALTH.named(),
+            self._names_heard(HEALTH)[0],
             HEALTH.delivery.kept,
             lambda reply: received(reply.ok) if reply.ok else None,
         )
@@ -290,35 +336,41 @@ class Bus:
         put = self._inbox.lane("liveliness")
 
         def changed(sample: zenoh.Sample) -> None:
-            if self._names.admits(service := service_of(sample.key_expr)):
-                put(LivelinessChange(service, sample.kind == zenoh.SampleKind.PUT), 0)
+            if self._names.admits(service_of(sample.key_expr)):
+                put(LivelinessChange(part_of(sample.key_expr), sample.kind == zenoh.SampleKind.PUT), 0)
 
+        tokens = self._names_heard(HEALTH)[0]
         self._hold(
             "liveliness",
-            lambda session: session.liveliness().declare_subscriber(HEALTH.named(), changed, history=True),
+            lambda session: session.liveliness().declare_subscriber(tokens, changed, history=True),
         )
 
     def services(self) -> set[str]:
         """Return the names of the services present, by their liveliness tokens."""
         return {
-            name
-            for reply in self._session.liveliness().get(HEALTH.named())
-            if reply.ok is not None and self._names.admits(name := service_of(reply.ok.key_expr))
+            part_of(reply.ok.key_expr)
+            for reply in self._session.liveliness().get(self._names_heard(HEALTH)[0])
+            if reply.ok is not None and self._names.admits(service_of(reply.ok.key_expr))
         }
 
     def vehicles(self) -> set[str]:
-        """Return the namespaces in which services are present; only without a namespace of our own."""
+        """Return the namespaces in which services are present; only without a namespace of our own.
+
+        Several vehicles that search together have one, that of their search.
+        """
         tokens = HEALTH.named()
-        return {
-            namespace
-            for reply in self._session.liveliness().get(f"**/{tokens}")
-            if reply.ok is not None
-            and (namespace := str(reply.ok.key_expr).rpartition(f"/{tokens.partition('*')[0]}")[0])
-            # A token of a pattern of keys is no vehicle, and strangers may choose any name.
-            and not set(namespace) & set("*$")
-            and namespace.isprintable()
-            and len(namespace) <= LONGEST_NAMESPACE
-        }
+        present: dict[str, set[str]] = {}
+        for reply in self._session.liveliness().get(f"**/{tokens}"):
+            if (
+                reply.ok is not None
+                and (namespace := str(reply.ok.key_expr).rpartition(f"/{tokens.partition('*')[0]}")[0])
+                # A token of a pattern of keys is no vehicle, and strangers may choose any name.
+                and not set(namespace) & set("*$")
+                and namespace.isprintable()
+                and len(namespace) <= LONGEST_NAMESPACE
+            ):
+                present.setdefault(namespace, set()).add(service_of(reply.ok.key_expr))
+        return {search_of(namespace, services) for namespace, services in present.items()}
 
     @property
     def connected(self) -> bool:
@@ -446,10 +498,10 @@ class Bus:
         )
         before = self._session
         kept = [
-            (key, *message)
-            for key in KEYS
-            if key.name in self._publishers
-            for message in kept_of(before, key)
+            (key, *message, int(vehicle_of(name)) if vehicle_of(name) else None)
+            for name, (key, _) in self._publishers.items()
+            if key is not HEALTH
+            for message in kept_of(before, name, key.delivery)
         ]
         with self._declaring:
             self._session, self._publishers = session, {}

@@ -94,8 +94,11 @@ def _is_finite(value: Any) -> bool:
 
 def struct_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
     """Return the schema of a JSON message as recorded, that is with its simulation time."""
-    schema: dict[str, Any] = msgspec.json.schema_components([kind])[1][kind.__name__]
+    known = msgspec.json.schema_components([kind])[1]
+    schema: dict[str, Any] = known[kind.__name__]
     for field in schema["properties"].values():
+        if reference := field.get("items", {}).get("$ref") if isinstance(field.get("items"), dict) else None:
+            field["items"] = _flat(known[reference.rpartition("/")[2]])
         if "prefixItems" in field:
             field["items"] = field.pop("prefixItems")[0]
         if "additionalProperties" in field:
@@ -105,6 +108,14 @@ def struct_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
         "properties": {**schema["properties"], "simulation_s": SIMULATION_S},
         "required": [*schema["required"], "simulation_s"],
     }
+
+
+def _flat(schema: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of an object in a list, without tuples."""
+    for field in schema["properties"].values():
+        if "prefixItems" in field:
+            field["items"] = field.pop("prefixItems")[0]
+    return schema
 
 
 def message_schema(kind: str) -> dict[str, Any]:

@@ -19,12 +19,12 @@ from link.record.record import (
     ABOUT,
     ATTACHMENT,
     FORMAT_NAME,
-    FRAME_KEYS,
     MALFORMED,
     PARTICLES,
     READABLE,
     STOPPED,
     Entry,
+    has_frames,
     key_today,
     parted,
     value_of,
@@ -271,10 +271,10 @@ class LogFile:
 
     def _message(self, key: str, ending: str, sequence: int, published_ns: int, data: bytes) -> None:
         newest = self._newest
-        if not ending and key in FRAME_KEYS:
+        if not ending and has_frames(key):
             simulation_s = newest.simulation_s if newest else 0.0
             self._begin(Entry(key_today(key, data, self._format), published_ns, simulation_s, data), sequence)
-        elif ending in ("", MALFORMED) and key not in FRAME_KEYS:
+        elif ending in ("", MALFORMED) and not has_frames(key):
             text, simulation_s = without_time(data)
             payload = msgspec.json.decode(text, type=Malformed).payload if ending else text
             self._begin(Entry(key, published_ns, simulation_s, payload), sequence)

@@ -20,7 +20,18 @@ from typing import Annotated, Any, NamedTuple
 import msgspec
 
 from link.bus.frames import Frame, frame_at, frames_in
-from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING, STOP, WAYPOINT
+from link.bus.keys import (
+    BELIEF,
+    HEALTH,
+    KEYS,
+    MAVLINK_IN,
+    MAVLINK_OUT,
+    READING,
+    STOP,
+    WAYPOINT,
+    row_name,
+    vehicle_of,
+)
 from link.bus.mavlink import ONBOARD_COMPUTER, continued
 from link.record.own import OwnSystem
 
@@ -46,7 +57,8 @@ class Entry(NamedTuple):
     """One message of a run.
 
     Attributes:
-        key: Relative to the vehicle's namespace: `reading`, `mavlink/out`, `health/uav`.
+        key: Relative to the namespace: `reading`, `mavlink/out`, `health/uav`; of a search by several
+            vehicles `uav/2/reading`.
         published_ns: When it was published, ns since the Unix epoch.
         simulation_s: Simulation time, s: the message's own if it has one, else the newest known.
         payload: The message, as it was published.
@@ -62,17 +74,23 @@ class Entry(NamedTuple):
 
 def row(key: str) -> str:
     """Return the name of a key's row in the table of keys; empty if it has none."""
-    name = HEALTH.name if key.startswith(HEALTH_PREFIX) else key
+    name = row_name(key)
+    name = HEALTH.name if name.startswith(HEALTH_PREFIX) else name
     return name if name in STRUCTS or name in FRAME_KEYS else ""
 
 
 def parted(topic: str) -> tuple[str, str]:
     """Split a topic into its key, empty if that is not in the table of keys, and its ending."""
     words = topic.split("/")
-    for count in (1, 2):
+    for count in (1, 2, 3, 4):  # two more where it is a vehicle's of a search
         if row(key := "/".join(words[:count])):
             return key, "/".join(words[count:])
     return "", topic
+
+
+def has_frames(key: str) -> bool:
+    """Whether the messages of a key are MAVLink frames."""
+    return row_name(key) in FRAME_KEYS
 
 
 def key_today(key: str, payload: bytes, written: int) -> str:
@@ -119,10 +137,12 @@ MOST_READINGS = 4096
 class SimulationClock:
     """Assigns a simulation time to each message, from the vehicle's own time stamps.
 
-    It goes on where those wrap.
+    It goes on where those wrap. In a search by several vehicles each has a clock of its own; what is nobody's
+    own goes by the last vehicle's.
     """
 
     def __init__(self) -> None:
+        self._of: dict[str, SimulationClock] = {}  # of each vehicle, by its number
         self._own = OwnSystem()
         self._newest_ms = 0
         self._newest_published_ns = 0
@@ -135,6 +155,12 @@ class SimulationClock:
         The newest known time is the vehicle's last published one. It may go back: that follows a restarted
         vehicle.
         """
+        if number := vehicle_of(key):
+            clock = self._of.setdefault(number, SimulationClock())
+            return clock.time_s(row_name(key), payload, published_ns)
+        if self._of:
+            number = (min if key == WAYPOINT.name else max)(self._of, key=int)
+            return self._of[number].time_s(key, payload, published_ns)
         own: int | None = None
         self._own.learn(key, payload)
         if key in (BELIEF.name, STOP.name):
@@ -170,8 +196,8 @@ class SimulationClock:
 
     @property
     def step(self) -> int:
-        """Number of the newest reading, 0 at the start; -1 before the first."""
-        return self._count - 1
+        """Number of the newest reading, of several vehicles the last one's; 0 at the start, -1 before it."""
+        return min((clock.step for clock in self._of.values()), default=self._count - 1)
 
 
 # A run whose first time is at most this begins at 0.

@@ -55,8 +55,10 @@ class Tap(Bus):
         """Queue the messages of these keys for `take`, kept messages first."""
         for key in keys:
             self._put_in_order(key)
-            self._declare(key, zenoh.handlers.RingChannel(most_waiting(key)))
-            self._rings[key.name] = key, (put := self._inbox.lane(key.name, most_waiting(key)))
+            put = self._inbox.lane(key.name, most_waiting(key))
+            for name in self._names_heard(key):
+                self._declare(key, name, zenoh.handlers.RingChannel(most_waiting(key)))
+                self._rings[name] = key, put
             if key is HEALTH:
                 self._ask_for_kept_health(partial(self._move, key, put))
 
@@ -94,15 +96,15 @@ class Tap(Bus):
         Of each key at most one full ring, as new messages keep coming.
         """
         with self._draining:
-            for ring in tuple(self._rings.values()):
-                self._full += self._drain_one(*ring)
+            for name, ring in tuple(self._rings.items()):
+                self._full += self._drain_one(name, *ring)
 
-    def _drain_one(self, key: Key, put: Callable[[Any, int], None]) -> bool:
+    def _drain_one(self, name: str, key: Key, put: Callable[[Any, int], None]) -> bool:
         """Empty a ring.
 
         Returns whether it was full, and so may have dropped messages: nobody knows how many.
         """
-        handler = self._held[key.name][1].handler
+        handler = self._held[name][1].handler
         for _ in range(most_waiting(key)):
             try:
                 sample = handler.try_recv()

@@ -32,12 +32,12 @@ from link.record.record import (
     DECODED,
     FORMAT,
     FORMAT_NAME,
-    FRAME_KEYS,
     MALFORMED,
     PARTICLES,
     STOPPED,
     STRUCTS,
     Entry,
+    has_frames,
     row,
     text_of,
     time_field,
@@ -76,7 +76,7 @@ class Writer:
     def write(self, entry: Entry, received_ns: int) -> None:
         """Write one message with its decoded copies and its attachment. Call it in order of `received_ns`."""
         try:
-            if entry.key in FRAME_KEYS:
+            if has_frames(entry.key):
                 self._write_frames(entry, received_ns)
             else:
                 DECODERS[row(entry.key)].decode(entry.payload)
@@ -113,7 +113,7 @@ class Writer:
         self._add(entry, "", received_ns, entry.payload)
         for frame in split(entry.payload):
             self._tlog.add(entry.published_ns, received_ns, frame.data)
-        if entry.key == READING.name:
+        if row(entry.key) == READING.name:
             text = encode(decode_reading(entry.payload))
             self._add(entry, DECODED, received_ns, with_time(text, entry.simulation_s))
         else:
@@ -133,7 +133,7 @@ class Writer:
         encoding, schema_id = "json", 0
         if ending in (PARTICLES, ATTACHMENT):
             encoding = "bytes"
-        elif not ending and key in FRAME_KEYS:
+        elif not ending and has_frames(key):
             encoding = "mavlink"
         else:
             kinds: dict[str, type[msgspec.Struct]] = {MALFORMED: Malformed, DECODED: FlatReading}

@@ -1,10 +1,12 @@
-"""The flag --problem, and the problem that it and other flags say."""
+"""The flags of a problem and of the fleet that searches it, and what they and other flags say."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 from plume.problem import PAPER, PARTS, Problem, square
+from plume.problems.fleet import ALONE, FARTHEST_APART_M, FORMATIONS, MOST_VEHICLES, Fleet
 from plume.problems.names import ABOUT, named
 
 # The fields that flags of other names override.
@@ -49,3 +51,44 @@ def overridden(problem: Problem, changes: Mapping[str, Any]) -> Problem:
         field, _, said = str(error).partition(": ")
         flag = {of: flag for flag, of in FLAGS.items()}.get(field if field in changes else "")
         raise ValueError(f"--{flag}: {said}" if flag else f"--problem: {error}") from None
+
+
+def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of vehicles that search together."""
+    parser.add_argument(
+        "--vehicles",
+        type=_ranged(int, 1, MOST_VEHICLES, "a whole number"),
+        default=ALONE.vehicles,
+        metavar="N",
+        help=f"vehicles that search together with one belief, 1 to {MOST_VEHICLES} (default: %(default)s)",
+    )
+    starts = "; ".join(f"{name}: {text}" for name, text in FORMATIONS.items())
+    parser.add_argument(
+        "--from",
+        dest="formation",
+        choices=tuple(FORMATIONS),
+        default=ALONE.formation,
+        help=f"where they start ({starts}; default: %(default)s)",
+    )
+    parser.add_argument(
+        "--separation",
+        type=_ranged(float, 0, FARTHEST_APART_M, "a number"),
+        default=ALONE.separation_m,
+        metavar="M",
+        help="least distance between the ways of two vehicles, m (default: %(default)g)",
+    )
+
+
+def fleet_given(args: argparse.Namespace, problem: Problem) -> Fleet:
+    """Return what the flags of `add_fleet_arguments` say, within the problem. Raises ValueError."""
+    return Fleet(args.vehicles, args.formation, args.separation).within(problem)
+
+
+def _ranged(kind: Callable[[str], float], low: float, high: float, what: str) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        with suppress(ValueError):
+            if low <= (value := kind(text)) <= high:
+                return value
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted {what} from {low:g} to {high:g}")
+
+    return parse

@@ -15,7 +15,7 @@ import numpy as np
 from plume.elementary import Array, direction, float32
 from plume.flight import usual_s
 from plume.problem import PAPER, Problem
-from plume.randomness import Abreast, Keyed, derived_seed, keyed, uniform
+from plume.randomness import Abreast, Keyed, derived_seed, keyed, seed_of, uniform
 from plume.scenario import AS_MODELLED, Scenario, WorldError, draw
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import GAUSSIAN, Sensor
@@ -125,7 +125,7 @@ class World:
         if vehicle == 1:
             return self
         other = copy(self)
-        other.seed = derived_seed(self.seed, f"vehicle {vehicle}")
+        other.seed = seed_of(self.seed, vehicle)
         other._strengths = []
         return other
 

@@ -10,9 +10,9 @@ from typing import Any
 import msgspec
 
 from link.bus.frames import Frame
-from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT
+from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT, row_name, vehicle_of
 from link.bus.mavlink import Texts, continued, unpack_reading
-from link.bus.messages import Belief, Health, Particles, Stop, unpack_particles
+from link.bus.messages import Belief, Health, Particles, Stop, by_vehicle, unpack_particles
 from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
 from link.record.reader import Recording
@@ -40,12 +40,13 @@ from scene.scene import (
 )
 
 TRACK_STEP_M = 0.1  # the track gets a point when the vehicle has moved this far
+FIRST = 1  # of several vehicles that search together, the one that is followed as a rule
 RESTART_MS = 1000  # a vehicle whose own time goes back by more was started again
 NOWHERE = math.nan, math.nan
 
 
 class History:
-    """What was said on the bus of one vehicle.
+    """What was said on the bus of one vehicle; of a search by several, it follows one of them.
 
     A message that breaks the contract is left out: the services count and refuse it.
     """
@@ -57,13 +58,17 @@ class History:
         *,
         turns: Sequence[WindTurn] | None = (),
         whole: bool = True,
+        number: int = FIRST,
     ) -> None:
         """Begin.
 
         whole: keep what scrubbing needs, each pose and each belief's particles; else only the newest ones.
+        number: which of several vehicles that search together it follows.
         turns: the changes of the backdrop's wind, in order; None: it is the wind that the readings have.
         """
         self.backdrop = backdrop  # as it is at first
+        self._number = number
+        self._beside: tuple[tuple[Point, float], ...] = ()  # what others read in the newest round
         self.own = OwnSystem()  # which system the vehicle is
         self.is_real = False  # whether a search flies a real autopilot: it speaks beside it, under its id
         self.time_s = self.wall_s = 0.0  # of the newest message, by the simulation and by the clock
@@ -125,6 +130,10 @@ class History:
 
         Returns whether it changes the scene.
         """
+        if number := vehicle_of(key):
+            if number != str(self._number):
+                return False
+            key = row_name(key)
         self.time_s, self.wall_s = max(self.time_s, time_s), max(self.wall_s, wall_s)
         self._walls.add(time_s, wall_s)
         if self.own.learn(key, payload):
@@ -138,12 +147,16 @@ class History:
                     self._winds.add(time_s, unpack_reading(payload).wind)
                     return True
                 case BELIEF.name:
-                    return self._take_belief(msgspec.json.decode(payload, type=Belief), attachment, time_s)
+                    seen = by_vehicle(msgspec.json.decode(payload, type=Belief))
+                    own = seen.pop(min(self._number, len(seen)) - 1)
+                    self._beside = tuple((each.position, each.gas) for each in seen)
+                    return self._take_belief(own, attachment, time_s)
                 case STOP.name:
                     return self._take_stop(msgspec.json.decode(payload, type=Stop), time_s)
                 case WAYPOINT.name:
                     places = [place for _, said in frames(payload, {SETPOINT}) if (place := waypoint(said))]
-                    for place in places:
+                    at = min(self._number, len(places)) - 1
+                    for place in places[at : at + 1]:  # those of several vehicles are in their order
                         self.waypoints.add(time_s, place)
                     return bool(places)
                 case _ if key.startswith(HEALTH_PREFIX):
@@ -202,7 +215,8 @@ class History:
         if last is not None and said.step <= last.step:
             return False  # repeated
         cloud = _cloud(said, attachment) if attachment else None
-        self.measurements.add(time_s, measured(said, cloud, time_s, self._winds.at()))
+        it = measured(said, cloud, time_s, self._winds.at())
+        self.measurements.add(time_s, replace(it, others=self._beside) if self._beside else it)
         self._stop, self._assume, self._gauge = said.stop, said.assume, gauge_of(said.sensor)
         if attachment:
             self._scatters.add(time_s, None if cloud is None else scatter(said, cloud))
@@ -294,9 +308,9 @@ def _cloud(said: Belief, attachment: bytes) -> Particles | None:
 # ---- of a run ----
 
 
-def begun(about: dict[str, Any], vehicle: str = "", *, whole: bool = False) -> History:
-    """Return the history of a run of which only its own description is known; for `whole` see `History`."""
-    return History(*backdrop_of(about, vehicle), turns=turns_of(about), whole=whole)
+def begun(about: dict[str, Any], vehicle: str = "", *, whole: bool = False, number: int = FIRST) -> History:
+    """Return the history of a run of which only its own description is known; for the rest see `History`."""
+    return History(*backdrop_of(about, vehicle), turns=turns_of(about), whole=whole, number=number)
 
 
 def history_of(recording: Recording, vehicle: str = "") -> History:

@@ -33,7 +33,8 @@ def verdict(alive: bool, health: Health | None, silent_s: float) -> str:
 
 def in_order(name: str) -> tuple[int, str]:
     """Return the key by which parts are sorted."""
-    return PARTS.index(name) if name in PARTS else len(PARTS), name
+    service = name.partition("/")[0]  # `uav/2` in a search by several
+    return PARTS.index(service) if service in PARTS else len(PARTS), name
 
 
 class _Sign(NamedTuple):

@@ -1,5 +1,5 @@
 """Missions as processes: started, watched, disturbed and ended.
 
-Imports: plume, link, link.access, link.bus, aircraft, aircraft.payload, aircraft.search, sitl.script,
-sitl.uav, scene.follow.
+Imports: plume, plume.problems, link, link.access, link.bus, aircraft, aircraft.payload, aircraft.search,
+sitl.script, sitl.uav, scene.follow.
 """

@@ -15,8 +15,9 @@ from aircraft.search.options import add_vehicle_url
 from link import cli
 from plume.outcome import outcome_text
 from plume.problem import Problem
+from plume.problems.options import add_fleet_arguments
 from sitl.launch.launcher import Flown, fly
-from sitl.launch.mission import Launch, RealVehicle, check_connect, check_payload
+from sitl.launch.mission import Launch, RealVehicle, check_connect, check_fleet, check_payload
 from sitl.launch.processes import MissionFailed
 from sitl.launch.recording import (
     RecordFiles,
@@ -28,7 +29,7 @@ from sitl.launch.recording import (
 )
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
-from sitl.script.options import FIELDS, blamed, script_for_vehicle, script_of
+from sitl.script.options import FIELDS, blamed, fleet_of, script_for_vehicle, script_of
 from sitl.script.script import AgentPart, Script
 from sitl.uav.options import add_vehicle_arguments
 
@@ -107,6 +108,7 @@ def add_arguments(
         "--view", action="store_true", help="show the mission on a page, which stays open until it is closed"
     )
     parser.add_argument("--open", action="store_true", help="the same, and open it in a browser")
+    add_fleet_arguments(parser)
     add_vehicle_url(parser)
     add_payload_argument(parser, "with --vehicle, ")
     cli.add_output_guard(parser)
@@ -174,6 +176,7 @@ def _checked_script(args: argparse.Namespace) -> Script:
     script = script_for_vehicle(script, args)
     if args.vehicle:
         check_payload(script, args.payload)
+    check_fleet(script, fleet_of(args, script), args.given)
     return script
 
 

@@ -4,13 +4,15 @@ import contextlib
 import math
 import time
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+
+import msgspec
 
 from aircraft.operator import AUTOPILOT
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
-from link.bus.messages import Belief, Health, Stop, unpack_particles
-from link.bus.session import Arrival, Bus, LivelinessChange
+from link.bus.messages import Belief, Health, Stop, by_vehicle, unpack_particles
+from link.bus.session import Arrival, Bus, LivelinessChange, part_of
 from plume.outcome import LastWord, TracePoint, interval
 from scene.follow.area import PLACING, AreaFrame
 from scene.follow.telemetry import LOCAL, frames
@@ -56,93 +58,55 @@ def await_services(bus: Bus, namespace: str, say: Callable[[str], None], wait_s:
     return health["agent"].about
 
 
-class MissionHeard:
-    """What has been heard of a mission so far."""
+class VehicleHeard:
+    """What has been heard of one vehicle."""
 
-    def __init__(self, bus: Bus, system: int | None) -> None:
-        self._bus = bus
+    def __init__(self, system: int | None, number: int | None) -> None:
+        """Take its MAVLink system id, if that is known, and its number in a search of several."""
+        self.number = number
+        self.part = "uav" if number is None else f"uav/{number}"
+        self.called = "vehicle" if number is None else self.part
+        self.health: Health | None = None  # the newest
+        self.trace = HeardTrace()
+        self.landed_since_s = math.inf  # when it was first heard to have landed
+        # (north, east) m of home, where it stands; followed once MAVLINK_OUT is subscribed.
+        self.landed_at: tuple[float, float] | None = None
         self._system = system or 0
         self._area = AreaFrame()
-        self.trace = HeardTrace()
-        self.health: dict[str, Health] = {}  # the newest health of each service
-        self.last: Belief | None = None  # the belief of the greatest step
-        self._particles = b""  # of that belief
-        self.distance_m = 0.0  # how far the vehicle has flown from the first belief to the last
-        self.stopped = False  # whether the estimator has declared a stop
-        self.warned = False  # whether the estimator has ever warned
-        self.landed_since_s = math.inf  # when the vehicle was first heard to have landed
-        # (north, east) m of home, where the vehicle stands; followed once MAVLINK_OUT is
-        # subscribed.
-        self.landed_at: tuple[float, float] | None = None
-
-    def take(self, arrival: Arrival, now_s: float) -> Belief | Health | None:
-        """Take a message; returns the health that it is, or the belief that goes beyond the last one."""
-        if arrival.key is STOP:
-            self.stopped = self.stopped or self._bus.decode(arrival, Stop) is not None
-        elif arrival.key is READING:
-            self.trace.reading(arrival.payload, self.system or None)
-        elif arrival.key is MAVLINK_OUT:
-            self._follow_down(arrival.payload)
-        elif arrival.key is HEALTH:
-            return self._health(self._bus.decode(arrival, Health), now_s)
-        elif arrival.key is BELIEF:
-            return self._belief(self._bus.decode(arrival, Belief), arrival.attachment)
-        return None
 
     @property
     def system(self) -> int:
-        """The vehicle's MAVLink system id by its health: a real autopilot has its own. 0: not known."""
-        uav = self.health.get("uav")
-        return (uav.system if uav else 0) or self._system
+        """Its MAVLink system id by its health: a real autopilot has its own. 0: not known."""
+        return (self.health.system if self.health else 0) or self._system
 
     @property
     def state(self) -> str:
-        """What the vehicle is doing; empty before its first health."""
-        return self.health["uav"].state if "uav" in self.health else ""
+        """What it is doing; empty before its first health."""
+        return self.health.state if self.health else ""
 
     @property
     def landed(self) -> bool:
-        """Whether the vehicle has landed since it began."""
+        """Whether it has landed since it began."""
         return self.landed_since_s < math.inf
 
     @property
     def at_home(self) -> bool:
-        """Whether the vehicle has landed at home."""
+        """Whether it has landed at home."""
         return self.landed and self.landed_at is not None and math.hypot(*self.landed_at) < AT_HOME_M
-
-    def _health(self, health: Health | None, now_s: float) -> Health | None:
-        if health:
-            self.health[health.service] = health
-            self.warned = self.warned or (health.service == "estimator" and bool(health.warnings))
-            if self.state == "landed":
-                self.landed_since_s = min(self.landed_since_s, now_s)
-        return health
 
     @property
     def home(self) -> tuple[float, float] | None:
         """Latitude and longitude of home, degrees; followed once MAVLINK_OUT is subscribed."""
         return self._area.home[:2] if self._area.home else None
 
-    def last_word(self, last: Belief) -> LastWord:
-        """Return what else the last belief says; without its particles the rate has no interval."""
-        rate_interval = None
-        with contextlib.suppress(ValueError):
-            particles = unpack_particles(self._particles, len(last.unknowns))
-            rate_interval = interval("q", last.unknowns, particles)
-        return LastWord(last.covariance, last.rate, rate_interval)
+    def take_health(self, health: Health, now_s: float) -> None:
+        """Take its health."""
+        self.health = health
+        if self.state == "landed":
+            self.landed_since_s = min(self.landed_since_s, now_s)
 
-    def _belief(self, belief: Belief | None, particles: bytes) -> Belief | None:
-        if not belief or not self.trace.belief(belief):
-            return None
-        if self.last:
-            if belief.step < self.last.step:
-                return None  # it was missed, and comes late
-            self.distance_m += math.dist(self.last.position, belief.position)
-        self.last, self._particles = belief, particles
-        return belief
-
-    def _follow_down(self, payload: bytes) -> None:
-        """Note where the vehicle stands, m from home."""
+    def follow_down(self, payload: bytes) -> None:
+        """Note where it stands, m from home."""
         with contextlib.suppress(BadFrame):
             vehicle = self.system, AUTOPILOT
             for frame, fields in frames(
@@ -153,6 +117,98 @@ class MissionHeard:
                 elif place := self._area.place(fields):
                     stands = self._area.on_ground or place[2] < ON_GROUND_M
                     self.landed_at = place[:2] if stands else None
+
+
+class MissionHeard:
+    """What has been heard of a mission so far."""
+
+    def __init__(self, bus: Bus, system: int | None, numbers: Sequence[int] = ()) -> None:
+        """Take the first vehicle's MAVLink system id, and the numbers of several that search together."""
+        self._bus = bus
+        self.vehicles = [VehicleHeard(system, None)]
+        if numbers:
+            self.vehicles = [VehicleHeard(system and system + k, number) for k, number in enumerate(numbers)]
+        self.health: dict[str, Health] = {}  # the newest health of each part
+        self.last: Belief | None = None  # the belief of the greatest step
+        self._particles = b""  # of that belief
+        self.distance_m = 0.0  # how far the vehicles have flown from the first belief to the last
+        self.stopped = False  # whether the estimator has declared a stop
+        self.warned = False  # whether the estimator has ever warned
+
+    def take(self, arrival: Arrival, now_s: float) -> Belief | Health | None:
+        """Take a message; returns the health that it is, or the belief that goes beyond the last one."""
+        if arrival.key is STOP:
+            self.stopped = self.stopped or self._bus.decode(arrival, Stop) is not None
+        elif arrival.key is READING:
+            vehicle = self._vehicle(arrival)
+            vehicle.trace.reading(arrival.payload, vehicle.system or None)
+        elif arrival.key is MAVLINK_OUT:
+            self._vehicle(arrival).follow_down(arrival.payload)
+        elif arrival.key is HEALTH:
+            return self._health(arrival, now_s)
+        elif arrival.key is BELIEF:
+            return self._belief(self._bus.decode(arrival, Belief), arrival.attachment)
+        return None
+
+    def _vehicle(self, arrival: Arrival) -> VehicleHeard:
+        return self.vehicles[arrival.vehicle - 1]
+
+    @property
+    def trace(self) -> "HeardTrace":
+        """The beliefs and readings of the first vehicle; those of the others have the same steps."""
+        return self.vehicles[0].trace
+
+    @property
+    def home(self) -> tuple[float, float] | None:
+        """Latitude and longitude of home, degrees; followed once MAVLINK_OUT is subscribed."""
+        return self.vehicles[0].home
+
+    def points(self) -> list[TracePoint] | None:
+        """Return the trace, the vehicles' points one after the other in each step; None if it has gaps."""
+        traces = [vehicle.trace.points() for vehicle in self.vehicles]
+        if None in traces:
+            return None
+        whole = [trace for trace in traces if trace is not None]
+        return [
+            msgspec.structs.replace(point, vehicle=number + 1)
+            for step in zip(*whole, strict=True)
+            for number, point in enumerate(step)
+        ]
+
+    def _health(self, arrival: Arrival, now_s: float) -> Health | None:
+        if health := self._bus.decode(arrival, Health):
+            part = part_of(arrival.name)
+            self.health[part] = health
+            self.warned = self.warned or (part == "estimator" and bool(health.warnings))
+            for vehicle in self.vehicles:
+                if vehicle.part == part:
+                    vehicle.take_health(health, now_s)
+        return health
+
+    def last_word(self, last: Belief) -> LastWord:
+        """Return what else the last belief says; without its particles the rate has no interval."""
+        rate_interval = None
+        with contextlib.suppress(ValueError):
+            particles = unpack_particles(self._particles, len(last.unknowns))
+            rate_interval = interval("q", last.unknowns, particles)
+        return LastWord(last.covariance, last.rate, rate_interval)
+
+    def _belief(self, belief: Belief | None, particles: bytes) -> Belief | None:
+        if not belief or len(belief.readings or (belief,)) != len(self.vehicles):
+            return None
+        seen = by_vehicle(belief)
+        new = [vehicle.trace.belief(said) for vehicle, said in zip(self.vehicles, seen, strict=True)]
+        if not all(new):
+            return None
+        if self.last:
+            if belief.step < self.last.step:
+                return None  # it was missed, and comes late
+            before = by_vehicle(self.last)
+            self.distance_m += sum(
+                math.dist(old.position, now.position) for old, now in zip(before, seen, strict=True)
+            )
+        self.last, self._particles = belief, particles
+        return belief
 
 
 class HeardTrace:

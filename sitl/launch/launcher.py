@@ -16,7 +16,7 @@ from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEAR
 from link.bus.log import LEVELS
 from link.bus.mavlink import Codec
 from link.bus.messages import Belief, Health
-from link.bus.session import Arrival, Bus, LivelinessChange
+from link.bus.session import Arrival, Bus, LivelinessChange, part_of
 from link.terminal import printable
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
@@ -24,7 +24,7 @@ from plume.problem import PAPER
 from plume.scenario import AS_MODELLED
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.heard import MissionHeard, await_services
-from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
+from sitl.launch.mission import Launch, agent_arguments, estimator_arguments, uav_arguments
 from sitl.launch.processes import (
     FLYING,
     KINDS,
@@ -78,7 +78,8 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
         payload = [PAYLOAD] * bool(mission.real)
-        starting = ["uav" if mission.connect else "router, uav, estimator, agent", *payload]
+        uavs = ", ".join(mission.uavs)
+        starting = [uavs if mission.connect else f"router, {uavs}, estimator, agent", *payload]
         progress = stack.enter_context(Progress(mission.script.budget, ", ".join(starting)))
         processes = stack.enter_context(Processes(inbox))
         stack.callback(page.over, processes)
@@ -93,6 +94,7 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
                     inbox,
                     announced=False,
                     secure=mission.secure,
+                    vehicles=mission.numbers,
                 )
             )
             bus.subscribe(READING, BELIEF, STOP, HEALTH, *[MAVLINK_OUT] * bool(mission.real))
@@ -112,7 +114,7 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
         for relay in relays.values():
             stack.callback(relay.close)
         watchdog = Watchdog(
-            [ROUTER, "uav", *SEARCHERS, *payload, *[RECORDER] * bool(mission.record)],
+            [ROUTER, *mission.uavs, *SEARCHERS, *payload, *[RECORDER] * bool(mission.record)],
             mission.patience_s,
             time.monotonic(),
             progress.say,
@@ -160,27 +162,31 @@ def start_parts(
     }
     if truth := mission.truth:
         about["scenario"] = truth
+    if mission.numbers:
+        about["fleet"] = mission.fleet
     if real:
         about |= {"vehicle": real.url, "payload": real.payload}
     about_json = msgspec.json.encode(about).decode()
     recorder = None
     if mission.record:
-        recorder = processes.start(
-            RECORDER, "sitl", "record", str(mission.record), *joining(RECORDER), "--about", about_json
-        )
+        words = "record", str(mission.record), *joining(RECORDER), "--about", about_json
+        together = ("--vehicles", str(len(mission.numbers))) if mission.numbers else ()
+        recorder = processes.start(RECORDER, "sitl", *words, *together)
     page.start(processes, ("--connect", endpoint, *secured), about_json)
     for service, arguments in services.items():
         processes.start(service, service, *joining(service), *arguments)
     if recorder:
         processes.answer(recorder)  # it records everything from now on
     page.await_start(say)
-    uav_words = [*mission.uav_arguments, *joining("uav"), "-I", str(mission.instance)]
     if real:
         measures = ("--payload", real.payload, *real.payload_arguments)
         processes.start(PAYLOAD, "sitl", "payload", *measures, *joining(PAYLOAD))
-        processes.start("uav", "sitl", "uav", "--vehicle", real.url, *uav_words, kind=FLYING)
-    else:
-        processes.start("uav", "sitl", "uav", *uav_words)
+    for uav, arguments in uav_arguments(mission).items():
+        words = *arguments, *joining("uav")
+        if real:
+            processes.start(uav, "sitl", "uav", "--vehicle", real.url, *words, kind=FLYING)
+        else:
+            processes.start(uav, "sitl", "uav", *words)
     return endpoint
 
 
@@ -204,7 +210,7 @@ class MissionWatch:
         self._disturbances = disturbances
         self._endpoint = endpoint
         self._files = files
-        self._heard = MissionHeard(bus, mission.system)
+        self._heard = MissionHeard(bus, mission.system, mission.numbers)
         self._began_at, self._look_at = time.monotonic(), 0.0
         self._last_words: dict[str, str] = {}
         # Services elsewhere that have left the bus, and parts without which the mission goes on.
@@ -233,7 +239,8 @@ class MissionWatch:
             self._listen(self._disturbances.wait_s())
             if heard.last:
                 self._disturbances.reached(heard.last.step, self._time_s(heard.last.step))
-            if not heard.stopped and time.monotonic() >= heard.landed_since_s + LATE_STOP_S:
+            first_landed_s = min(vehicle.landed_since_s for vehicle in heard.vehicles)
+            if not heard.stopped and time.monotonic() >= first_landed_s + LATE_STOP_S:
                 break
             if not (heard.stopped or self._has_ended()) or self._disturbances.wait_s() is not None:
                 lost_at = time.monotonic() + self._mission.patience_s
@@ -256,13 +263,15 @@ class MissionWatch:
         heard = self._heard
         if heard.stopped and not self._has_ended():
             raise MissionFailed("the estimator has declared the stop, but its last belief was not received")
-        broken_off = heard.landed and not self._has_ended() and not self._mission.script.expectations
+        landed = next((vehicle for vehicle in heard.vehicles if vehicle.landed), None)
+        broken_off = landed and not self._has_ended() and not self._mission.script.expectations
         if heard.last is None or broken_off:
-            if heard.landed and (how := "; ".join(heard.health["uav"].warnings)):
+            if landed and (how := "; ".join(landed.health.warnings if landed.health else ())):
                 raise MissionFailed(how)
+            part = landed.part if landed else self._mission.uavs[0]
             raise MissionFailed(
-                "the uav landed before the search was over; its last words: "
-                + self._last_words.get("uav", "none")
+                f"the {part} landed before the search was over; its last words: "
+                + self._last_words.get(part, "none")
             )
         return heard.last
 
@@ -288,17 +297,19 @@ class MissionWatch:
 
     def _awaited(self) -> str:
         """Return what the first belief waits for."""
-        health = self._heard.health
-        if self._heard.state == "searching":
-            return "flying to the start"
-        if self._heard.state not in ("", "standby"):
-            return self._heard.state
-        missing = sorted({*SEARCHERS, "uav", *[PAYLOAD] * bool(self._mission.real)} - set(health))
+        heard, uavs = self._heard, self._mission.uavs
+        states = [vehicle.state for vehicle in heard.vehicles]
+        if states.count("searching") == len(states):
+            return "flying to the start" + "s" * (len(states) > 1)
+        if busy := [state for state in states if state not in ("", "standby", "searching")]:
+            return busy[0]
+        missing = sorted({*SEARCHERS, *uavs, *[PAYLOAD] * bool(self._mission.real)} - set(heard.health))
         if any(self._last_words.get(part) == COMPILING for part in missing):
             return COMPILING
         if missing:
             return f"waiting for {', '.join(missing)}"
-        return "; ".join(health["uav"].warnings) or "waiting for takeoff"
+        warnings = [text for part in uavs for text in heard.health[part].warnings]
+        return "; ".join(dict.fromkeys(warnings)) or "waiting for takeoff"
 
     def _take(self, item: Any) -> None:
         now_s = time.monotonic()
@@ -324,8 +335,8 @@ class MissionWatch:
             case Arrival():
                 is_first = self._heard.last is None
                 match self._heard.take(item, now_s):
-                    case Health(service=service):
-                        self._watchdog.heard(service, now_s)
+                    case Health():
+                        self._watchdog.heard(part_of(item.name), now_s)
                     case Belief() as belief:
                         if is_first:
                             self._introduce()
@@ -338,8 +349,10 @@ class MissionWatch:
             self._progress.say(printable(script.about))
         where = "" if script.problem.area == PAPER.area else f"area {script.problem.area.text}, "
         where += "" if script.world == AS_MODELLED else f"world {script.world}, "
+        fleet = self._mission.fleet
+        who = f"{fleet.vehicles} vehicles from {fleet.formation}, " if fleet.vehicles > 1 else ""
         self._progress.say(
-            f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}"
+            f"mission: seed {script.seed}, {script.agent.policy}, {who}{where}{pace(script.speedup)}"
         )
         self._progress.say(f"router at {self._endpoint}")
         if self._files and (trouble := self._files.take_place()):
@@ -348,9 +361,9 @@ class MissionWatch:
     # ---- what follows it ----
 
     def _await_landing(self, last: Belief) -> None:
-        """Wait until the vehicle has done what comes after the search.
+        """Wait until each vehicle has done what comes after the search.
 
-        A stop sends it on its way; else it is commanded each second.
+        A stop sends them on their way; else they are commanded each second.
         """
         heard, expected = self._heard, self._mission.script.expectations
         home, after = "returned home" in expected, self._mission.script.vehicle.after_stop
@@ -362,18 +375,27 @@ class MissionWatch:
             home and not self._mission.real
         ):  # a real vehicle's is heard from the beginning: it says where home is
             self._bus.subscribe(MAVLINK_OUT)  # where it has landed
-        if not heard.landed:
+        flying = list(heard.vehicles)
+        if not all(vehicle.landed for vehicle in flying):
             self._progress.say("returning home" if after == "return" else "landing")
         codec, call_at, lost_at = Codec(*LAUNCHER_IDS), 0.0, math.inf
-        while not heard.landed or (home and heard.landed_at is None and time.monotonic() < lost_at):
-            if heard.landed:  # the place where it stands is not waited for without end
+        while flying := [
+            vehicle
+            for vehicle in flying
+            if not vehicle.landed or (home and vehicle.landed_at is None and time.monotonic() < lost_at)
+        ]:
+            if all(vehicle.landed for vehicle in flying):  # where they stand is not waited for without end
                 lost_at = min(lost_at, time.monotonic() + LAG_S)
-            if heard.state in ("paused", "holding"):
-                self._progress.say("a pilot leads the vehicle: it is left to them")
+            for vehicle in [vehicle for vehicle in flying if vehicle.state in ("paused", "holding")]:
+                self._progress.say(f"a pilot leads the {vehicle.called}: it is left to them")
+                flying.remove(vehicle)
+            if not flying:
                 return
-            if heard.state == "searching" and not last.ceased and time.monotonic() >= call_at:
-                call = order(after, heard.system, SEARCH if self._mission.real else AUTOPILOT)
-                self._bus.publish(MAVLINK_IN, codec.pack(call))
+            if not last.ceased and time.monotonic() >= call_at:
+                for vehicle in flying:
+                    if vehicle.state == "searching":
+                        call = order(after, vehicle.system, SEARCH if self._mission.real else AUTOPILOT)
+                        self._bus.publish(MAVLINK_IN, codec.pack(call), vehicle=vehicle.number)
                 call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)
 
@@ -390,7 +412,7 @@ class MissionWatch:
 
     def _flown(self, last: Belief) -> Flown:
         script, heard = self._mission.script, self._heard
-        points, missing = heard.trace.points(), heard.trace.missing
+        points, missing = heard.points(), heard.trace.missing
         lost = f"{missing} of {last.step + 1} beliefs were not received"
         if points is None:
             raise MissionFailed(f"{lost}: the trace has gaps")
@@ -428,7 +450,7 @@ class MissionWatch:
             "outside": result.outside,
             "false stop": result.ceased and not located and not result.outside,
             "warned": heard.warned,
-            "landed": heard.landed,
-            "returned home": heard.at_home,
+            "landed": all(vehicle.landed for vehicle in heard.vehicles),
+            "returned home": all(vehicle.at_home for vehicle in heard.vehicles),
         }
         return Flown(script, result, points, {each: came_true[each] for each in script.expectations})

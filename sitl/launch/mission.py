@@ -4,12 +4,14 @@ import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from aircraft.payload.options import SIMULATED
-from link.cli import BadInput
+from link.cli import BadInput, numbers
 from plume.problem import PAPER
+from plume.problems.fleet import ALONE, Fleet
 from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, Scenario
 from sitl.launch.watchdog import PATIENCE_S
@@ -18,6 +20,12 @@ from sitl.uav.options import at_own_home
 
 # Expectations that need the source's true position.
 TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})
+# Flags that several vehicles cannot fly with yet, and why.
+WITHOUT_FLEET = {
+    "vehicle": "only simulated vehicles search together",
+    "connect": "estimator and agent of several vehicles are started here",
+    "secure": "certificates are for vehicles that search alone",
+}
 USUAL = {"estimator": EstimatorPart(), "agent": AgentPart()}
 
 
@@ -51,8 +59,26 @@ class Launch:
 
     @property
     def system(self) -> int | None:
-        """The vehicle's MAVLink system id; None: a real autopilot's, which nobody knows yet."""
+        """The MAVLink system id of the vehicle, or of the first of several, which the others' follow.
+
+        None: a real autopilot's, which nobody knows yet.
+        """
         return self.sysid or (None if self.real else self.instance + 1)
+
+    @cached_property
+    def fleet(self) -> Fleet:
+        """The vehicles that search together."""
+        return self.script.together()
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """The numbers of several vehicles that search together; empty for one alone."""
+        return numbers(self.fleet.vehicles)
+
+    @property
+    def uavs(self) -> list[str]:
+        """The names of the parts that fly: `uav`, or `uav/1`, `uav/2` and so on."""
+        return [f"uav/{number}" for number in self.numbers] or ["uav"]
 
     @property
     def home(self) -> tuple[float, float]:
@@ -68,8 +94,8 @@ class Launch:
 
     @property
     def namespace(self) -> str:
-        """The vehicle's key prefix."""
-        return f"uav/{self.instance + 1}"
+        """The key prefix of the vehicle, or of the search by several."""
+        return f"{'search' if self.numbers else 'uav'}/{self.instance + 1}"
 
 
 def check_payload(script: Script, payload: str) -> None:
@@ -136,6 +162,7 @@ def estimator_arguments(mission: Launch) -> list[str]:
         "--lifetime": part.lifetime or tau,
         "--seed": derived_seed(script.seed, "estimator"),
         "--sysid": mission.system,
+        "--vehicles": mission.fleet.vehicles if mission.numbers else None,
         "--prior": [f"{name}={prior}" if prior else name for name, prior in part.prior.items()],
     }
     return _words(flags)
@@ -153,9 +180,47 @@ def agent_arguments(mission: Launch) -> list[str]:
         "--measurements": agent.measurements,
         "--seed": derived_seed(script.seed, "agent"),
         "--sysid": mission.system,
+        "--separation": mission.fleet.separation_m if mission.numbers else None,
         "--waypoints": [_path(scripted, step) for step in sorted(scripted) if step - 1 not in scripted],
     }
     return _words(flags)
+
+
+def uav_arguments(mission: Launch) -> dict[str, list[str]]:
+    """Return the flags of each uav, by its part's name, beside those that all parts have."""
+    fleet, instance, system = mission.fleet, mission.instance, mission.sysid
+    together = (
+        {}
+        if fleet == ALONE
+        else {"--vehicles": fleet.vehicles, "--from": fleet.formation, "--separation": fleet.separation_m}
+    )
+    flags: list[dict[str, Any]] = [{"-I": instance, **together}]
+    if mission.numbers:
+        flags = [
+            {"-I": instance + k, **together, "--number": k + 1, "--sysid": system and system + k}
+            for k in range(fleet.vehicles)
+        ]
+    return {
+        part: [*mission.uav_arguments, *_words(own)] for part, own in zip(mission.uavs, flags, strict=True)
+    }
+
+
+def check_fleet(script: Script, fleet: Fleet, given: Collection[str]) -> None:
+    """Raise BadInput if a script cannot be flown by several vehicles.
+
+    given: the flags that stand on the command line.
+    """
+    if fleet.vehicles == 1:
+        return
+    for flag in ("vehicle", "connect", "secure"):
+        if flag in given:
+            raise BadInput(f"--vehicles: not with --{flag}: {WITHOUT_FLEET[flag]}")
+    for number, event in enumerate(script.events):
+        tag = event.__struct_config__.tag
+        if isinstance(event, Waypoints | Lawnmower):
+            raise BadInput(f"--vehicles: events[{number}], {tag}, cannot happen: it is for one vehicle")
+        if isinstance(event, Kill | Cut) and event.part == "uav":
+            raise BadInput(f"--vehicles: events[{number}], {tag} uav, cannot happen: there are several")
 
 
 def _told(script: Script) -> str | None:

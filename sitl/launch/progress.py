@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from link.bus.messages import Belief
+from link.bus.messages import Belief, by_vehicle
 from link.terminal import broken
 
 PLAIN_EVERY_STEPS = 10
@@ -56,15 +56,15 @@ class Progress:
 
     def show(self, belief: Belief, distance_m: float) -> None:
         """Show how far the search is."""
-        (x, y), (mean_x, mean_y) = belief.position, belief.mean
-        fields = [
-            f"step {belief.step:3d}/{self._budget}",
-            f"at ({x:5.2f}, {y:5.2f})",
-            f"gas {belief.gas:6.2f}",
-            f"spread {belief.spread:5.2f} m",
-            f"flown {distance_m:5.1f} m",
-            f"estimate ({mean_x:5.2f}, {mean_y:5.2f})",
-        ]
+        (mean_x, mean_y), seen = belief.mean, by_vehicle(belief)
+        step = f"step {belief.step:3d}/{self._budget}"
+        at = "at " + " ".join("({:5.2f}, {:5.2f})".format(*each.position) for each in seen)
+        gas = "gas " + " ".join(f"{each.gas:6.2f}" for each in seen)
+        spread, flown = f"spread {belief.spread:5.2f} m", f"flown {distance_m:5.1f} m"
+        estimate = f"estimate ({mean_x:5.2f}, {mean_y:5.2f})"
+        fields = [step, at, gas, spread, flown, estimate]
+        if len(seen) > 1:  # where they are is long
+            fields = [step, spread, flown, at, gas, estimate]
         if self._console.is_terminal:
             self._live.update(_line(fitting(fields, self._console.width)))
         elif belief.step % PLAIN_EVERY_STEPS == 0 or (belief.ceased and not self._ceased):

@@ -5,6 +5,7 @@ import argparse
 from aircraft.search.events import Wind
 from link import cli
 from link.cli import BadInput
+from plume.problems.fleet import Fleet
 from plume.problems.names import PROBLEMS
 from plume.problems.options import add_problem_argument
 from plume.randomness import MAX_SEED
@@ -22,6 +23,9 @@ FIELDS = {
     "sensor": "sensor",
     "world": "world",
     "silence": "vehicle.silence_s",
+    "vehicles": "fleet.vehicles",
+    "formation": "fleet.formation",
+    "separation": "fleet.separation_m",
     "policy": "agent.policy",
     "budget": "agent.budget",
     "headings": "agent.headings",
@@ -162,9 +166,19 @@ def script_for_vehicle(script: Script, args: argparse.Namespace) -> Script:
     return script.changed({"speedup": speedup})
 
 
+def fleet_of(args: argparse.Namespace, script: Script) -> Fleet:
+    """Return the vehicles that fly a script together. Raises BadInput."""
+    try:
+        return script.together()
+    except ValueError as error:
+        flag, _, reason = str(error).partition(": ")
+        raise blamed(args, flag, reason) from None
+
+
 def blamed(args: argparse.Namespace, flag: str, reason: str) -> BadInput:
     """Return the refusal of a flag's value; where the script has set it, with the script's line and field."""
     name = flag.removeprefix("--").replace("-", "_")
+    name = "formation" if name == "from" else name
     if args.mission and name in FIELDS and name not in args.given:
         return Document(find(args.mission)).error(FIELDS[name].split("."), reason)
     return BadInput(f"{flag}: {reason}")

@@ -17,10 +17,11 @@ from aircraft.search.search import AfterStop
 from link.cli import BadInput, did_you_mean
 from plume.parameters import LIMITS, MOST
 from plume.problem import FARTHEST_M, PAPER, Place, Problem
+from plume.problems.fleet import FARTHEST_APART_M, MOST_VEHICLES, Fleet
 from plume.problems.names import check as check_problem
 from plume.problems.names import sensor_text
 from plume.randomness import MAX_SEED
-from plume.scenario import AREA_M, AS_MODELLED, BUDGET_STEPS, STEP_M, Scenario, draw
+from plume.scenario import AREA_M, AS_MODELLED, BUDGET_STEPS, SEPARATION_M, STEP_M, Scenario, draw
 from plume.sensors import names as sensor
 from plume.worlds.names import check
 from plume.worlds.world import World
@@ -121,6 +122,25 @@ class VehiclePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     after_stop: Annotated[
         AfterStop, Meta(description="what follows the search: return home and land, land, or hold until told")
     ] = "return"
+
+
+class FleetPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Vehicles that search together, with one belief and one stop."""
+
+    vehicles: Annotated[
+        int, Meta(ge=1, le=MOST_VEHICLES, description=f"a whole number from 1 to {MOST_VEHICLES}: how many")
+    ] = 1
+    formation: Annotated[
+        Literal["point", "edge", "corners"], Meta(description="where they start, as --from")
+    ] = "point"
+    separation_m: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=FARTHEST_APART_M,
+            description=f"a number from 0 up to {FARTHEST_APART_M:g}: least distance between their ways, m",
+        ),
+    ] = SEPARATION_M
 
 
 class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -256,6 +276,7 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ] = PAPER
     scenario: ScenarioPart = ScenarioPart()
     vehicle: VehiclePart = VehiclePart()
+    fleet: FleetPart = FleetPart()
     sensor: Annotated[
         str,
         Meta(description="a name of `plumeward list sensors`, with optional numbers: 'threshold:0.5,0.3'"),
@@ -281,6 +302,11 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             name: value for name, value in msgspec.structs.asdict(self.scenario).items() if value is not None
         }
         return msgspec.structs.replace(draw(self.seed, self.problem), **given)
+
+    def together(self) -> Fleet:
+        """Return the vehicles that fly it. Raises ValueError, with the flag, if they cannot start so."""
+        part = self.fleet
+        return Fleet(part.vehicles, part.formation, part.separation_m).within(self.problem)
 
     def simulated(self) -> World:
         """Return the simulated world of the mission; it holds the truth."""

@@ -2,15 +2,22 @@
 
 import argparse
 import shlex
+from dataclasses import replace
 from importlib import import_module
+from itertools import combinations
 
 from aircraft.search.command import Orders, fly
 from aircraft.search.events import OnBoard
 from aircraft.search.options import add_vehicle_url
 from link import cli
+from plume.flight import TRY_AGAIN_S, leg_s
 from plume.problem import PAPER
+from plume.problems.fleet import ALONE, MOST_VEHICLES, Fleet
+from plume.problems.options import add_fleet_arguments
+from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.vehicle import Vehicle
-from sitl.script.options import script_for_vehicle, script_of
+from sitl.script.options import fleet_of, script_for_vehicle, script_of
+from sitl.script.script import Script
 from sitl.uav.options import add_vehicle_arguments, at_own_home
 from sitl.uav.simulated import simulated_uav
 
@@ -23,24 +30,70 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(connect=None, namespace=None)
     add_vehicle_arguments(parser, speedup=1.0)
     add_vehicle_url(parser)
+    add_fleet_arguments(parser)
+    parser.add_argument(
+        "--number",
+        type=cli.whole(1, MOST_VEHICLES),
+        metavar="K",
+        help="which of --vehicles N it is; its keys are then those of uav/K in the search's namespace "
+        "(default: -I plus 1)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Fly until interrupted. Raises BadInput."""
     script = script_for_vehicle(script_of(args), args)
+    fleet, number = _place_in_fleet(args, script)
     chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
     chosen += "" if script.estimator.assume == "field" else f" --assume {script.estimator.assume}"
     if (told := script.problem.told) != PAPER:
         chosen += f" --problem {shlex.quote(told.text)}"
+    together = fleet.vehicles > 1
+    chosen += f" --vehicles {fleet.vehicles}" if together else ""
+    apart = together and fleet.separation_m != ALONE.separation_m
     orders = Orders(
         script.simulated(),
         script.speedup,
         [event for event in script.events if isinstance(event, OnBoard)],
         script.vehicle.after_stop,
         chosen,
+        f" --separation {fleet.separation_m!r}" if apart else "",
+        number if together else None,
     )
     config = script.vehicle_config(args.sysid or args.instance + 1)
     if args.vehicle:
         return int(import_module(REAL_VEHICLE).run(args, orders, config))
-    vehicle = Vehicle(at_own_home(config, args.instance))
-    return fly(args, orders, lambda equipment, _: simulated_uav(vehicle, orders, equipment))
+    # All of a search have one home, the origin of what they search: that of the first one.
+    config = at_own_home(config, max(args.instance + 1 - number, 0))
+    if together:
+        config = replace(
+            config, silence_s=config.silence_s + _longest_wait_s(config, orders.world.sensor.dwell)
+        )
+    vehicle = Vehicle(config)
+    return fly(args, orders, lambda equipment, _: simulated_uav(vehicle, orders, equipment, number, fleet))
+
+
+def _longest_wait_s(config: VehicleConfig, dwell_s: float) -> float:
+    """Return the longest time that others may take to their next reading: no agent is silent for that, s."""
+    area = config.flown
+    corners = [(0.0, 0.0), area.low, area.high]
+    legs = [leg_s(a, b, config.speed_mps, config.accel_mps2) for a, b in combinations(corners, 2)]
+    return float(max(legs)) + dwell_s + TRY_AGAIN_S
+
+
+def _place_in_fleet(args: argparse.Namespace, script: Script) -> tuple[Fleet, int]:
+    """Return the fleet that a vehicle searches with, and its number there, from 1. Raises BadInput."""
+    fleet = fleet_of(args, script)
+    if fleet.vehicles == 1:
+        if "number" in args.given:
+            raise cli.BadInput("--number: it needs --vehicles N: one vehicle alone has no number")
+        return fleet, 1
+    number = args.number or args.instance + 1
+    if number > fleet.vehicles:
+        raise cli.BadInput(f"--number: {number} is not allowed; wanted 1 to {fleet.vehicles} (--vehicles)")
+    if args.vehicle:
+        raise cli.BadInput("--vehicles: not with --vehicle: only simulated vehicles search together")
+    if args.secure:
+        raise cli.BadInput("--vehicles: not with --secure: certificates are for vehicles that search alone")
+    args.namespace = args.namespace or f"search/{max(args.instance + 2 - number, 1)}"
+    return fleet, number

@@ -17,13 +17,16 @@ from aircraft.search.search import Search
 from aircraft.search.uav import Equipment, Handling, Uav
 from aircraft.search.udp import UdpPorts
 from aircraft.state import Arrived, Result, VehicleFailed, denied, not_now
-from link.bus.keys import MAVLINK_OUT
+from link.bus.keys import MAVLINK_OUT, OF_VEHICLE, SEARCHERS
 from link.bus.mavlink import Codec, Message, unpack
 from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival
+from link.cli import numbers
 from link.modes import Mode
 from plume.flight import TRY_AGAIN_S, leg_s
+from plume.problems.fleet import ALONE, Fleet, Place
 from plume.scenario import WorldError
+from plume.worlds.rounds import RoundTime
 from plume.worlds.world import World
 from sitl.autopilot.config import STREAM_S
 from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol
@@ -171,30 +174,37 @@ class SimulatedSensor(GasSensor):
     the vehicle waits for its agent: a mission then is the same on a slow machine.
     """
 
-    def __init__(self, world: World, vehicle: Vehicle) -> None:
+    def __init__(self, world: World, vehicle: Vehicle, start: Place) -> None:
+        """Take where the search begins, (x, y) m."""
         self.simulated, self._vehicle = Simulated(world), vehicle
         self.dwell_s = world.sensor.dwell
         self.wind = world.wind  # as last measured
-        self._number, self._place = -1, world.start
+        self._number, self._place = -1, start
         self._time_s, self._since_s = 0.0, 0.0  # of the reading before, and since then
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured:
         """Take reading `number`."""
-        (north, east, _), config = arrived.position, self._vehicle.config
-        if number != self._number:
-            self._time_s, self._number = self._time_s + self._since_s, number
-            flown_s = float(leg_s(self._place, (east, north), config.speed_mps, config.accel_mps2))
-            self._since_s = flown_s + self.dwell_s
-        else:
-            self._since_s += TRY_AGAIN_S
+        (north, east, _) = arrived.position
+        now_s = self._now_s((east, north), number)
         self._place = east, north
         question = Question(0, time_boot_ms, number, self._place, None)
         try:
-            sample = self.simulated(question, self._time_s + self._since_s)
+            sample = self.simulated(question, now_s)
         except WorldError as error:
             raise VehicleFailed(str(error)) from error
         self.wind = sample.wind or self.wind
         return Measured(arrived, sample.gas, sample.wind)
+
+    def _now_s(self, place: Place, number: int) -> float:
+        """Return the world's time of reading `number`, or of another attempt at it, s."""
+        config = self._vehicle.config
+        if number != self._number:
+            self._time_s, self._number = self._time_s + self._since_s, number
+            flown_s = float(leg_s(self._place, place, config.speed_mps, config.accel_mps2))
+            self._since_s = flown_s + self.dwell_s
+        else:
+            self._since_s += TRY_AGAIN_S
+        return self._time_s + self._since_s
 
     def blow(self, u: float | None, phi: float | None) -> None:
         """Turn the wind, and the plume with it."""
@@ -202,10 +212,52 @@ class SimulatedSensor(GasSensor):
         self.wind = world.wind
 
 
-def simulated_uav(vehicle: Vehicle, orders: Orders, equipment: Equipment) -> Uav:
-    """Return the uav service of a simulated vehicle. Raises ValueError for a URL of `outs`."""
-    search = Search(vehicle, orders.world.start, orders.after_stop, equipment.say)
-    sensor = SimulatedSensor(orders.world, vehicle)
+class SharedSensor(SimulatedSensor):
+    """The gas sensor of one of several vehicles that search together in a simulated world.
+
+    The world's time is that of their rounds.
+    """
+
+    def __init__(self, world: World, vehicle: Vehicle, number: int, starts: Sequence[Place]) -> None:
+        """Take the world as vehicle 1 measures it, the number of this vehicle, and where all start."""
+        super().__init__(world.of_vehicle(number), vehicle, starts[number - 1])
+        self.among = len(starts)
+        # The search begins when all are there: none waits in the air for one that never comes.
+        self.services = SEARCHERS | {f"{OF_VEHICLE}{other}" for other in numbers(len(starts))}
+        self._vehicle_number = number
+        self._world = world
+        self._rounds = RoundTime(world, starts, vehicle.config.speed_mps, vehicle.config.accel_mps2)
+        self._rounds.go(starts)
+
+    def go(self, places: Sequence[Place]) -> None:
+        """Learn where all go next, by which the time goes on."""
+        self._rounds.go(places)
+
+    def _now_s(self, place: Place, number: int) -> float:
+        return self._rounds.time_s
+
+    def blow(self, u: float | None, phi: float | None) -> None:
+        """Turn the wind, and the plume with it."""
+        self._world = turned(self._world, u, phi)
+        self.simulated.world = self._world.of_vehicle(self._vehicle_number)
+        self.wind = self._world.wind
+
+
+def simulated_uav(
+    vehicle: Vehicle, orders: Orders, equipment: Equipment, number: int = 1, fleet: Fleet = ALONE
+) -> Uav:
+    """Return the uav service of a simulated vehicle. Raises ValueError for a URL of `outs`.
+
+    number: which vehicle of the fleet it is.
+    """
+    world = orders.world
+    starts = fleet.starts(world.start, world.seed, world.problem.ground)
+    search = Search(vehicle, starts[number - 1], orders.after_stop, equipment.say)
+    sensor = (
+        SharedSensor(world, vehicle, number, starts)
+        if len(starts) > 1
+        else SimulatedSensor(world, vehicle, starts[0])
+    )
     clients = SimulatedClients(vehicle, search, sensor, equipment)
     return Uav(search, clients, sensor, equipment, orders.events)
 

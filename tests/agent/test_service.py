@@ -8,9 +8,10 @@ import pytest
 
 from agent import service
 from agent.policies import reach
+from agent.together import choose_all
 from link.bus.keys import BELIEF, HEALTH
 from link.bus.mavlink import unpack
-from link.bus.messages import Belief, Health
+from link.bus.messages import Belief, Health, RoundReading, unpack_particles
 from link.bus.session import Arrival
 from tests.fuzz.services import BETWEEN, QuietBus, answered, belief_seeds, until_all_are_taken
 
@@ -48,7 +49,7 @@ def test_a_belief_that_no_estimator_can_mean_is_refused_and_the_next_one_answere
 
 def test_particles_that_are_far_apart_need_no_grid_between_them() -> None:
     rows = np.array([[1.0, 1.0, 0.5], [1e6, 1e6, 0.5]], np.float32)  # 10¹² cells of one metre
-    fields = msgspec.structs.asdict(msgspec.json.decode(said().partition(BETWEEN)[0], type=Belief))
+    fields = msgspec.to_builtins(msgspec.json.decode(said().partition(BETWEEN)[0], type=Belief))
     narrow = fields | {"unknowns": ("x", "y"), "means": (1.0, 1.0), "stds": (0.1, 0.1)}
     for policy in (POLICY, "homing"):
         bus = answered(policy, msgspec.json.encode(narrow) + BETWEEN + rows.tobytes())
@@ -78,3 +79,49 @@ def test_an_agent_that_was_told_no_system_id_takes_the_one_of_the_vehicles_healt
         (1, 1),
         (32, 32),
     ]
+
+
+def of_two(**changed: object) -> dict[str, object]:
+    """The readings of a round of two vehicles, the second one's with these changes."""
+    first = {
+        "vehicle": 1, "system": 5, "time_boot_ms": 900, "position": [3.0, 4.0], "altitude_m": 5.0, "gas": 0.1
+    }  # fmt: skip
+    second = {**first, "vehicle": 2, "system": 6, "time_boot_ms": 1000, "position": [9.0, 4.0], "gas": 0.5}
+    return {"time_boot_ms": 1000, "readings": [first, {**second, **changed}]}
+
+
+def test_a_round_is_answered_by_a_waypoint_for_each_vehicle_in_one_payload() -> None:
+    payload = said(**of_two())
+    bus = answered("homing", payload, payload)
+    told, again = (unpack(answer) for _, answer, _ in bus.published)
+    assert [each.to_dict() for each in told] == [each.to_dict() for each in again]
+    assert [(each.target_system, each.time_boot_ms) for each in told] == [(5, 900), (6, 1000)]
+    summary, _, attached = payload.partition(BETWEEN)
+    belief = msgspec.json.decode(summary, type=Belief)
+    particles = unpack_particles(attached, len(belief.unknowns))
+    chosen = choose_all(
+        "homing", belief, particles, 3, reach("homing"), [(3.0, 4.0), (9.0, 4.0)], [0.1, 0.5], 3.0
+    )
+    assert [(each.y, each.x) for each in told] == chosen
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"vehicle": 3}, "not those of vehicles 1, 2 and so on"),
+        ({"system": 0}, "Expected `int` >= 1"),
+        ({"time_boot_ms": 999}, "not that of the last reading of its round"),
+        ({"position": [9.0, 41.0]}, "position (9.0, 41.0) is outside the area"),
+        ({"gas": 1e39}, "a number beyond"),
+    ],
+)
+def test_a_round_that_no_estimator_can_mean_is_refused(changed: dict[str, object], reason: str) -> None:
+    bus = answered("homing", said(**of_two(**changed)), said(**of_two()))
+    assert reason in bus.tally.last_error
+    assert len(bus.published) == 1
+
+
+def test_a_round_of_one_vehicle_is_refused() -> None:
+    round_of_one = RoundReading(1, 1, 1000, (3.0, 4.0), 5.0, 0.1)
+    bus = answered("homing", said(time_boot_ms=1000, readings=[msgspec.to_builtins(round_of_one)]), said())
+    assert "1 readings in a round" in bus.tally.last_error

@@ -16,7 +16,7 @@ def reading(system: int, time_boot_ms: int, x: float = 2.0) -> Arrival:
 
 def estimated(*readings: Arrival) -> QuietBus:
     bus = QuietBus(*readings)
-    until_all_are_taken(lambda: service.run(bus, Config(20), None))
+    until_all_are_taken(lambda: service.run(bus, Config(20), [None]))
     return bus
 
 

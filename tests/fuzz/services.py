@@ -124,7 +124,7 @@ def _config(assume: str) -> Config:
 def _estimated(assume: str, *payloads: bytes) -> QuietBus:
     bus = QuietBus(*(Arrival(READING, payload, b"") for payload in payloads))
     with contextlib.suppress(_End):
-        estimator.run(bus, _config(assume), 1)
+        estimator.run(bus, _config(assume), [1])
     return bus
 
 

@@ -11,10 +11,10 @@ from agent.learn.env import SourceSearch
 from agent.planning.around import around, distances_to
 from agent.planning.moves import Reach
 from agent.planning.predict import lengths
-from agent.trials.fleet import Fleet
 from agent.trials.rollout import mission
 from plume.polygons.obstacles import HAIR_M, Obstacles
 from plume.problem import AREA, Problem
+from plume.problems.fleet import Fleet
 
 HOUSE = ((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))
 TOWER = ((4.0, 22.0), (6.0, 22.0), (6.0, 26.0), (4.0, 26.0))

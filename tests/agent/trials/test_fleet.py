@@ -9,13 +9,14 @@ from itertools import combinations, pairwise
 import numpy as np
 import pytest
 
-from agent.trials.fleet import FORMATIONS, MOST_VEHICLES, Fleet
 from agent.trials.rollout import mission, rollout
 from agent.trials.sweep import Sweep, fly
 from estimator.filter import assimilate, prior
+from link import cli
 from plume.outcome import TracePoint, outcome_text
 from plume.polygons.polygons import gaps
 from plume.problem import PAPER
+from plume.problems.fleet import FORMATIONS, MOST_VEHICLES, Fleet
 from plume.randomness import derived_seed
 from plume.scenario import draw
 from plume.sensors.names import parse
@@ -28,6 +29,7 @@ START = draw(3).start
 @pytest.mark.parametrize("vehicles", range(1, MOST_VEHICLES + 1))
 def test_vehicles_start_inside_the_area_and_apart(formation: str, vehicles: int) -> None:
     fleet = Fleet(vehicles, formation)
+    assert vehicles <= cli.MOST_VEHICLES == MOST_VEHICLES
     for seed in range(20):
         starts = fleet.starts(draw(seed).start, seed)
         assert len(set(starts)) == vehicles

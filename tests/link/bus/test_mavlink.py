@@ -16,6 +16,7 @@ from link.bus.mavlink import (
     nearest,
     pack_reading,
     unpack,
+    unpack_plan,
     unpack_reading,
     unpack_waypoint,
     waypoint_message,
@@ -90,6 +91,32 @@ def test_a_waypoint_is_read_back(system: int) -> None:
 def test_what_is_no_waypoint_for_this_system_is_refused(payload: bytes, reason: str, kind: str) -> None:
     with pytest.raises(BadFrame) as refused:
         unpack_waypoint(payload, 3)
+    assert str(refused.value).startswith(reason)
+    assert refused.value.kind == kind
+
+
+PLAN = [waypoint_message(system, 1000 + system, (10.0 * system, 20.0), 5.0) for system in (2, 3)]
+
+
+def test_of_the_waypoints_of_a_round_a_vehicle_takes_its_own_and_learns_where_all_go() -> None:
+    m, places = unpack_plan(frames(*PLAN), 3)
+    assert (m.time_boot_ms, m.x, m.y) == (1003, 20.0, 30.0)
+    assert places == [(20.0, 20.0), (30.0, 20.0)]
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason", "kind"),
+    [
+        (b"", "malformed frame", "malformed"),
+        (frames(ORDER, *PLAN), "message 76; wanted SET_POSITION_TARGET_LOCAL_NED (84) alone", "malformed"),
+        (frames(PLAN[0]), "waypoints for 2; wanted one for 3", "other vehicle"),
+        (frames(*PLAN, PLAN[1]), "waypoints for 2 3 3; wanted one for 3", "other vehicle"),
+    ],
+    ids=["nothing", "a command", "none for it", "two for it"],
+)
+def test_what_is_no_plan_with_this_system_is_refused(payload: bytes, reason: str, kind: str) -> None:
+    with pytest.raises(BadFrame) as refused:
+        unpack_plan(payload, 3)
     assert str(refused.value).startswith(reason)
     assert refused.value.kind == kind
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
+from msgspec import UNSET
 from rich.console import Console
 
 from sitl.launch import progress
@@ -13,7 +14,13 @@ from sitl.launch.progress import Progress
 from tests.system.screen import CONTROL
 
 STEP = SimpleNamespace(
-    step=20, position=(14.94, 17.12), gas=0.331, mean=(21.37, 22.07), spread=5.6, ceased=False
+    step=20,
+    position=(14.94, 17.12),
+    gas=0.331,
+    mean=(21.37, 22.07),
+    spread=5.6,
+    ceased=False,
+    readings=UNSET,
 )
 """What is shown of a belief."""
 

@@ -30,7 +30,8 @@ VEHICLE: Any = SimpleNamespace(config=SimpleNamespace(speed_mps=SPEED_MPS, accel
 )
 def test_the_vehicle_measures_what_a_rollout_does(sensor: str, world: str) -> None:
     _, trace = rollout(SEED, "homing", 100, budget=12, world=world, sensor=parse(sensor))
-    simulated = SimulatedSensor(World(draw(SEED), SEED, parse(sensor), world), VEHICLE)
+    there = World(draw(SEED), SEED, parse(sensor), world)
+    simulated = SimulatedSensor(there, VEHICLE, there.start)
     for number, point in enumerate(trace):
         (east, north), gas = point.position, float("nan")
         arrived = Arrived(0.0, (north, east, -5.0))

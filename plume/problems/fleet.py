@@ -1,21 +1,21 @@
-"""A fleet that searches together, as trials fly it: how many vehicles, where they start, how far apart."""
+"""A fleet that searches together: how many vehicles, where they start, how far apart."""
 
-import argparse
 import math
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
-from agent.planning.apart import SEPARATION_M
-from agent.together import Place, seed_of
-from link import cli
 from plume.elementary import Array
 from plume.polygons.obstacles import Obstacles
 from plume.problem import AREA, Area, Problem
-from plume.randomness import keyed, uniform
+from plume.randomness import keyed, seed_of, uniform
+from plume.scenario import SEPARATION_M
+
+Place = tuple[float, float]  # (x, y) m
 
 MOST_VEHICLES = 8
+FARTHEST_APART_M = 100.0  # greatest separation, m
 FORMATIONS = {
     "point": "beside each other where one vehicle starts",
     "edge": "spread evenly along the southern edge",
@@ -85,37 +85,6 @@ class Fleet:
 
 
 ALONE = Fleet()
-
-
-def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of vehicles that search together."""
-    parser.add_argument(
-        "--vehicles",
-        type=cli.whole(1, MOST_VEHICLES),
-        default=ALONE.vehicles,
-        metavar="N",
-        help=f"vehicles that search together with one belief, 1 to {MOST_VEHICLES} (default: %(default)s)",
-    )
-    starts = "; ".join(f"{name}: {text}" for name, text in FORMATIONS.items())
-    parser.add_argument(
-        "--from",
-        dest="formation",
-        choices=tuple(FORMATIONS),
-        default=ALONE.formation,
-        help=f"where they start ({starts}; default: %(default)s)",
-    )
-    parser.add_argument(
-        "--separation",
-        type=cli.number(0, 100),
-        default=ALONE.separation_m,
-        metavar="M",
-        help="least distance between the ways of two vehicles, m (default: %(default)g)",
-    )
-
-
-def fleet_given(args: argparse.Namespace) -> Fleet:
-    """Return what the flags of `add_fleet_arguments` say, within the problem. Raises ValueError."""
-    return Fleet(args.vehicles, args.formation, args.separation).within(args.problem)
 
 
 def _drawn(fleet: Fleet, start: Place, seed: int, area: Area) -> list[Place]:

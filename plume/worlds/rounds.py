@@ -1,0 +1,43 @@
+"""The time of a fleet's rounds, by which the gas moves: it follows from where all vehicles go."""
+
+from collections.abc import Sequence
+
+from plume.flight import ACCEL_MPS2, SPEED_MPS, TRY_AGAIN_S, leg_s
+from plume.worlds.world import World
+
+Place = tuple[float, float]  # (x, y) m
+
+
+class RoundTime:
+    """When each round of a mission takes its readings.
+
+    Vehicles wait for each other: a round takes as long as that of them which is there last.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        starts: Sequence[Place],
+        speed_mps: float = SPEED_MPS,
+        accel_mps2: float = ACCEL_MPS2,
+    ) -> None:
+        """Take the world as vehicle 1 measures it, and where the vehicles are."""
+        self.worlds = [world.of_vehicle(vehicle + 1) for vehicle in range(len(starts))]
+        self.places = list(starts)
+        self.number = -1  # of the round whose time is `time_s`; -1 before the first
+        self.time_s = 0.0
+        self._motion = speed_mps, accel_mps2
+
+    def go(self, places: Sequence[Place]) -> float:
+        """Fly each vehicle to its next place; returns the time of the readings there, s."""
+        self.number += 1
+        self.time_s += max(
+            float(leg_s(start, end, *self._motion))
+            + world.sensor.dwell
+            + TRY_AGAIN_S * world.loses(self.number)
+            for start, end, world in zip(self.places, places, self.worlds, strict=True)
+        )
+        while self.worlds[0].warms_up(self.time_s):
+            self.time_s += TRY_AGAIN_S
+        self.places = list(places)
+        return self.time_s

@@ -1,0 +1,356 @@
+"""Protects a search by several vehicles on the bus: the same bits as in-process, one stop for all, and no
+process that stays behind.
+"""
+
+import json
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from agent.trials.rollout import rollout
+from link.bus.keys import BELIEF, HEALTH, STOP
+from link.bus.mavlink import unpack_reading
+from link.bus.messages import Belief, Health, RoundReading, Stop, by_vehicle, pack_particles
+from link.bus.session import Bus, part_of
+from link.record.reader import read
+from plume.randomness import derived_seed
+from plume.scenario import draw
+from tests.system.conftest import Part
+from tests.system.live import run_agent, run_sitl
+from tests.system.pages import Browser, port_of
+from tests.system.test_view import belief as one_belief
+
+TO_THE_STOP = ("--vehicles", "2", "--from", "corners", "--seed", "4", "--particles", "300")
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., dict]:
+    """Roll a mission out in this process, with the same flags."""
+
+    def rolled(*flags: str) -> dict:
+        status, out, err = run_agent(monkeypatch, capsys, "rollout", *flags, "--json", "--trace")
+        assert status == 0, err
+        return without_times(json.loads(out[-1]))
+
+    return rolled
+
+
+def without_times(outcome: dict) -> dict:
+    assert outcome.pop("search_time_s") > 0  # the one field that is measured, not computed
+    return outcome
+
+
+def flown(start: type[Part], folder: Path, *flags: str) -> tuple[dict, str]:
+    """The outcome of a mission flown as processes, and what it said."""
+    part = start("sitl", "fly", *flags, "--no-record", "--json", "--trace", cwd=folder)
+    assert part.ended() == 0, part.err
+    return without_times(json.loads(part.out[-1])), "".join(part.err)
+
+
+def test_two_vehicles_find_a_source_together_as_in_process(
+    start: type[Part], tmp_path: Path, in_process: Callable
+) -> None:
+    bus, said = flown(start, tmp_path, *TO_THE_STOP, "--speedup", "0")
+    assert bus == in_process(*TO_THE_STOP)
+    assert bus["located"]
+    assert {point.get("vehicle", 1) for point in bus["trace"]} == {1, 2}
+    assert len(bus["trace"]) == 2 * (bus["steps"] + 1)
+    assert "2 vehicles from corners" in said
+    assert "returning home" in said
+
+
+def test_in_gas_that_moves_three_vehicles_on_the_clock_read_the_same_as_in_process(
+    start: type[Part], tmp_path: Path, in_process: Callable
+) -> None:
+    """The world's time is that of their rounds, whatever the speed-up; a lost reading is taken again."""
+    chosen = (
+        "--vehicles", "3", "--from", "point", "--separation", "2", "--seed", "6", "--particles", "100", "--budget",
+        "4", "--world", "puffs+readings-lost+wind-noisy", "--sensor", "pid:warmup=7.5", "--policy", "random",
+    )  # fmt: skip
+    bus, _ = flown(start, tmp_path, *chosen, "--speedup", "30", "-I", "4")
+    there = in_process(*chosen)
+    for each in (bus, there):  # -I moves home, and so the search, but changes nothing in it
+        assert each.pop("latitude_deg")
+        assert each.pop("longitude_deg")
+    assert bus == there
+
+
+@pytest.mark.parametrize(
+    ("flags", "reason"),
+    [
+        (("--vehicles", "0"), "'0' is not allowed; wanted a whole number from 1 to 8"),
+        (("--vehicles", "nine"), "'nine' is not allowed; wanted a whole number from 1 to 8"),
+        (
+            ("--vehicles", "2", "--from", "nowhere"),
+            "--from: 'nowhere' is not allowed; wanted point, edge or corners",
+        ),
+        (("--vehicles", "4", "--from", "edge", "--separation", "9"), "have room for 0 to 7.5 m"),
+        (("--vehicles", "2", "--connect", "tcp/127.0.0.1:1"), "--vehicles: not with --connect"),
+        (("--vehicles", "2", "--vehicle", "udpin:127.0.0.1:1"), "--vehicles: not with --vehicle"),
+        (("--vehicles", "2", "lawnmower"), "lawnmower, cannot happen: it is for one vehicle"),
+    ],
+)
+def test_a_fleet_that_cannot_fly_is_refused_in_one_line_before_anything_starts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], reason: str
+) -> None:
+    status, _, err = run_sitl(monkeypatch, capsys, "fly", *flags)
+    assert status == 2
+    assert reason in err[-1]
+
+
+def test_a_script_that_asks_for_too_many_vehicles_is_refused_with_the_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "nine.yaml"
+    for text, reason in (
+        (
+            "seed: 1\nfleet:\n  vehicles: 9\n",
+            "nine.yaml:3: fleet.vehicles: 9 is not allowed; wanted a whole number",
+        ),
+        ("fleet: {vehicles: 4, formation: edge, separation_m: 9}", "fleet.separation_m: 9 is not allowed"),
+    ):
+        path.write_text(text)
+        status, _, err = run_sitl(monkeypatch, capsys, "fly", str(path))
+        assert status == 2
+        assert reason in err[-1]
+
+
+def children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def has_ended(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def test_ctrl_c_ends_all_vehicles_and_leaves_nothing_behind(
+    start: type[Part], tmp_path: Path, wait_until: Callable
+) -> None:
+    part = start(
+        "sitl", "fly", "--vehicles", "2", "--policy", "random", "--speedup", "4", "--particles", "100", cwd=tmp_path
+    )  # fmt: skip
+    part.comes_to("step   0")
+    parts = children(part.process.pid)
+    assert len(parts) == 6  # router, recorder, estimator, agent and two vehicles
+    part.process.send_signal(signal.SIGINT)
+    assert part.ended() == 130
+    wait_until(lambda: all(map(has_ended, parts)))
+
+
+def test_a_vehicle_that_dies_is_named_and_ends_the_mission(start: type[Part], tmp_path: Path) -> None:
+    part = start(
+        "sitl", "fly", "--vehicles", "2", "--policy", "random", "--speedup", "4", "--particles", "100", "--no-record",
+        cwd=tmp_path,
+    )  # fmt: skip
+    part.comes_to("step   0")
+    for pid in children(part.process.pid):
+        words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+        if "--number" in words and words[words.index("--number") + 1] == "2":
+            os.kill(pid, signal.SIGKILL)
+    assert part.ended() == 1
+    assert "error: uav/2 was killed by signal 9" in part.err[-1]
+
+
+# ---- services that die ----
+
+SEED = 4
+SEARCH = ("--namespace", "search/1")
+
+
+class Watched:
+    """The beliefs of a search, as somebody hears them who looks on."""
+
+    def __init__(self, router: str) -> None:
+        self.bus = Bus("viewer", router, "search/1", announced=False, vehicles=(1, 2))
+        self.bus.subscribe(BELIEF, STOP, HEALTH)
+        self.points: dict[int, list[tuple]] = {}
+        self.stops: list[Stop] = []
+        self.states: dict[str, str] = {}
+        self.ceased = False
+
+    def take(self) -> int:
+        """Take what comes; returns the newest step."""
+        item: Any = self.bus.receive(400.0)
+        if item.key is BELIEF and (said := self.bus.decode(item, Belief)):
+            seen = [(each.position, each.gas, each.mean, each.spread) for each in by_vehicle(said)]
+            assert self.points.setdefault(said.step, seen) == seen  # a repeated belief is the same
+            self.ceased = said.ceased
+        elif item.key is STOP and (stop := self.bus.decode(item, Stop)):
+            self.stops.append(stop)
+        elif item.key is HEALTH and (health := self.bus.decode(item, Health)):
+            self.states[part_of(item.name)] = health.state
+        return max(self.points, default=-1)
+
+
+@pytest.fixture
+def watched(router: str) -> Iterator[Watched]:
+    looking_on = Watched(router)
+    with looking_on.bus:
+        yield looking_on
+
+
+def commands(router: str) -> dict[str, tuple[str, ...]]:
+    """What starts the parts of the search, without a launcher."""
+    truth = draw(SEED)
+    joining, fleet = ("-e", router, *SEARCH), ("--vehicles", "2", "--from", "corners")
+    return {
+        "estimator": (
+            "estimator", *joining, "--vehicles", "2", "--particles", "300", "--rate", repr(truth.q), "--diffusivity",
+            repr(truth.d), "--lifetime", repr(truth.tau), "--seed", str(derived_seed(SEED, "estimator")),
+        ),
+        "agent": ("agent", *joining, "--policy", "homing", "--seed", str(derived_seed(SEED, "agent"))),
+        **{
+            f"uav/{number}": (
+                "sitl", "uav", *joining, *fleet, "-I", str(number - 1), "--seed", str(SEED), "--speedup", "20"
+            )
+            for number in (1, 2)
+        },
+    }  # fmt: skip
+
+
+def undisturbed() -> list[list[tuple]]:
+    _, trace = rollout(SEED, "homing", 300, vehicles=2, formation="corners")
+    points = [(point.position, point.reading, point.mean, point.spread) for point in trace]
+    return [points[at : at + 2] for at in range(0, len(points), 2)]
+
+
+@pytest.mark.parametrize("victim", ["estimator", "agent"])
+def test_a_service_that_is_killed_and_started_again_goes_on_with_the_same_search(
+    start: type[Part], router: str, watched: Watched, wait_until: Callable, victim: str
+) -> None:
+    parts = commands(router)
+    running = {part: start(*words) for part, words in parts.items() if part != "uav/2"}
+    wait_until(lambda: watched.take() == -1 and watched.states.get("uav/1") == "standby")
+    start(*parts["uav/2"])  # who comes late is waited for, on the ground
+    killed = False
+    while not (watched.ceased and watched.stops):
+        if watched.take() >= 6 and not killed:
+            running[victim].kill()
+            start(*parts[victim])
+            killed = True
+    expected = undisturbed()
+    assert [watched.points[step] for step in sorted(watched.points)] == expected
+    assert watched.stops[0].estimate == expected[-1][0][2]
+    wait_until(lambda: watched.take() and [watched.states.get(f"uav/{n}") for n in (1, 2)] == ["landed"] * 2)
+
+
+# ---- what is shown of it ----
+
+
+def of_a_round() -> Belief:
+    """A belief of two vehicles, after the first round."""
+    readings = tuple(
+        RoundReading(number, number, 1000 + number, (10.0 * number, 2.0), 5.0, 0.5 * number)
+        for number in (1, 2)
+    )
+    alone = one_belief(0)
+    return msgspec.structs.replace(alone, position=(20.0, 2.0), time_boot_ms=1002, readings=readings)
+
+
+def test_a_page_shows_each_vehicle_of_a_search_with_their_belief(
+    start: type[Part], router: str, wait_until: Callable
+) -> None:
+    view = start("sitl", "view", "--port", "0", "--connect", router)
+    names = {"search/1/uav/1", "search/1/uav/2"}
+    with (
+        Bus("estimator", router, "search/1", vehicles=(1, 2)) as estimator,
+        Bus("uav", router, "search/1", vehicles=(1,)),
+        Bus("uav", router, "search/1", vehicles=(2,)),
+        Browser(port_of(view, wait_until)) as page,
+    ):
+        page.until(lambda: set(page.vehicles) == names)
+        page.show(*sorted(names))
+        particles = np.full((7, 3), 1 / 7, np.float32)
+        estimator.publish(BELIEF, of_a_round(), pack_particles(particles))
+        page.until(lambda: all(page.particles.get(name) == 7 for name in names))
+
+
+def test_status_has_a_row_for_each_vehicle_of_a_search_and_for_its_services(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], router: str
+) -> None:
+    with (
+        Bus("uav", router, "search/1", vehicles=(1,)) as first,
+        Bus("uav", router, "search/1", vehicles=(2,)) as second,
+        Bus("estimator", router, "search/1", vehicles=(1, 2)) as estimator,
+        Bus("agent", router, "search/1") as agent,
+        ExitStack() as stack,
+    ):
+        parts, over = (first, second, estimator, agent), threading.Event()
+
+        def keep_speaking() -> None:
+            while not over.wait(0.1):
+                for bus in parts:
+                    bus.publish_health()
+
+        speaking = threading.Thread(target=keep_speaking)
+        speaking.start()
+        stack.callback(speaking.join)
+        stack.callback(over.set)
+        for flags in ((), ("--namespace", "search/1")):
+            status, out, _ = run_sitl(monkeypatch, capsys, "status", "-e", router, *flags)
+            assert status == 0
+            assert out[0] == f"search/1 at {router}"
+            rows = [line.split()[:2] for line in out[2:]]
+            assert rows[:5] == [[part, "ok"] for part in ("router", "uav/1", "uav/2", "estimator", "agent")]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The record of a short mission of two vehicles, which a script describes; the wind turns on the way."""
+    folder = tmp_path_factory.mktemp("fleet")
+    (folder / "two.yaml").write_text(
+        "{seed: 4, speedup: 0, fleet: {vehicles: 2, formation: corners}, estimator: {particles: 100}, "
+        "agent: {budget: 4}, events: [{step: 2, do: wind, phi: 1.0}]}"
+    )
+    part = Part("sitl", "fly", "two.yaml", "--record", "two.mcap", cwd=folder)
+    assert part.ended() == 0, part.err
+    return folder / "two.mcap"
+
+
+def test_a_record_has_the_readings_of_all_vehicles_under_their_keys(recorded: Path) -> None:
+    log = read(recorded)
+    assert log.complete
+    assert log.about["fleet"] == {"vehicles": 2, "formation": "corners", "separation_m": 3.0}
+    for number in (1, 2):
+        times = [
+            unpack_reading(entry.payload, number).time_boot_ms
+            for entry in log.entries
+            if entry.key == f"uav/{number}/reading"
+        ]
+        assert len(set(times)) == 5
+    keys = {entry.key for entry in log.entries}
+    assert {"belief", "waypoint", "uav/1/mavlink/out", "uav/2/mavlink/out", "uav/2/health/uav"} <= keys
+
+
+def test_a_replayed_record_gives_the_same_beliefs_and_waypoints(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = run_sitl(monkeypatch, capsys, "replay", str(recorded), "--verify", "--speedup", "0")
+    assert status == 0, err
+    assert "verified: 5 beliefs, 0 stops, 4 waypoints" in "\n".join([*out, *err])
+
+
+def test_a_log_and_findings_have_all_readings_and_all_metres(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, _ = run_sitl(monkeypatch, capsys, "log", str(recorded))
+    assert status == 0
+    assert any(line.startswith("not ceased after 4 steps of 2 vehicles") for line in out)
+    status, _, err = run_sitl(
+        monkeypatch, capsys, "findings", str(recorded), "--out", str(tmp_path / "found")
+    )
+    assert status == 0, err
+    rows = (tmp_path / "found" / "readings.csv").read_text().splitlines()
+    assert len(rows) == 1 + 10
+    assert run_sitl(monkeypatch, capsys, "draw", str(recorded), "--out", str(tmp_path / "two.png"))[0] == 0
