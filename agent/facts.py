@@ -1,4 +1,4 @@
-"""What a learned policy's observation is computed from, besides particles: the facts of a belief, and the site."""
+"""What observations are computed from, beside particles: the facts of a belief, and the site of a search."""
 
 import numpy as np
 
@@ -24,8 +24,7 @@ FACTS = (
 )
 X, Y, GAS, MEAN_X, MEAN_Y, XX, XY, YY, WIND_X, WIND_Y, RATE, DIFFUSIVITY, LIFETIME = range(len(FACTS))
 
-# What an observation knows of the problem: the ends of its area, of where it expects sources, and its step, m.
-SITE = 9
+SITE = 9  # numbers of a site: `site_of`
 
 # Unknowns beside x and y that an observation may use, each in a row of the particles.
 ROWS = ("q", "d", "tau", "wind-direction", "wind-speed", "noise", "cv")

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from agent.facts import DIFFUSIVITY, LIFETIME, MEAN_X, MEAN_Y, RATE, WIND_X, WIND_Y, XX, XY, YY, X, Y
 from plume.compiled import kernel, subroutine
-from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices, direction
 from plume.numerics import cosine_and_sine, exp, log, total_of
 from plume.sensors.names import GAUSSIAN
@@ -30,6 +29,7 @@ RINGS = np.array([1.5, 3.0, 5.0, 8.0, 11.5, 15.5, 20.0])  # radii between the ri
 CELLS = SECTORS * (len(RINGS) + 1)
 AHEAD = np.array([2.0, 5.0])  # units
 HEADINGS = 16
+NEAREST = 0.1  # least distance of a reading from a source, in units: as `SOURCE_RADIUS_M` in Table 1's area
 FEW = 128  # number of particles for the information gains, drawn by systematic resampling
 NUMBERS = 18
 GAINS = CELLS + HEADINGS * len(AHEAD)
@@ -153,7 +153,7 @@ def _see(
                 dx, dy = there_x - few[0, k], there_y - few[1, k]
                 distance = math.sqrt(dx * dx + dy * dy)
                 few[7, k] = distance
-                distance = max(distance, SOURCE_RADIUS_M)
+                distance = max(distance, NEAREST * unit)
                 m = (
                     steepness
                     * few[2, k]

@@ -92,8 +92,8 @@ class Settings:
         if self.draws:
             if not SCHEMAS[self.observation].anywhere:
                 raise ValueError(
-                    f"problem {self.problem!r} is not allowed with the observation {self.observation!r}; wanted "
-                    f"{' or '.join(name for name, schema in SCHEMAS.items() if schema.anywhere)}"
+                    f"problem {self.problem!r} is not allowed with the observation {self.observation!r}; "
+                    f"wanted {' or '.join(name for name, schema in SCHEMAS.items() if schema.anywhere)}"
                 )
             if self.budget is not None or self.world is not None:
                 name = "budget" if self.budget is not None else "world"
@@ -307,12 +307,16 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
     With `observation="paper"` it is `Box(-10, 10, (5,), float32)`, in the world's frame: position (x, y),
     gas and estimate (x, y).
 
+    With `observation="polar-2"` it is `Box(-10, 10, (210,), float32)`: the belief without units and without
+    a prior of its own, for any problem.
+
     ## Rewards
 
     | `reward` | each step | at the stop, added |
     |---|---|---|
     | `"cost"`, the default | −0.01 | 1 |
     | `"paper"` | 0 | 1 |
+    | `"way"` | −0.01 for a thirtieth of the area's side that the move is long | 1 |
 
     A stop is rewarded whether it is right or wrong.
 
@@ -339,11 +343,11 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
 
     | argument | default | meaning |
     |---|---|---|
-    | `problem` | `"paper"` | what is searched: a `plumeward.Problem`, its fields, `"paper"` or a YAML file |
+    | `problem` | `"paper"` | a `plumeward.Problem`, its fields, `"paper"`, a YAML file or `"anywhere"` |
     | `continuous` | False | an action is a heading and a step |
     | `headings` | 16 | number of headings of discrete actions |
-    | `observation` | `"polar"` | or `"paper"` |
-    | `reward` | `"cost"` | or `"paper"` |
+    | `observation` | `"polar"` | `"polar-2"` or `"paper"` |
+    | `reward` | `"cost"` | `"way"` or `"paper"` |
     | `particles` | 500 | particles of the filter |
     | `threshold_m` | 0.5 | ζ, m |
     | `budget` | None | most steps; None, also of the next one: the problem's |

@@ -24,10 +24,10 @@ SIDES_FLOWN = 10.0  # the budget: moves for so many sides, as in Table 1
 def anywhere(seed: int) -> Problem:
     """Draw a problem: area, step, start, prior, plume and stop.
 
-    Areas are rectangles of any aspect up to ASPECT. Half of the priors are the area, the others a rectangle in
-    it of 0.3 to 1 of each side. Half of the missions start in the south-western sixth, the others anywhere.
-    Three of four steps are USUAL_STEPS. Plumes are Table 1's with all lengths and times, at the same
-    wind, times a number: then d grows as it, and q as its square.
+    Areas are rectangles of any aspect up to ASPECT. Half of the priors are the area, the others a rectangle
+    in it of 0.3 to 1 of each side. Half of the missions start in the south-western sixth, the others
+    anywhere. Three of four steps are USUAL_STEPS. Plumes are Table 1's with all lengths and times, at the
+    same wind, times a number: then d grows as it, and q as its square.
     """
     rng = keyed(seed, "problem")
 

@@ -44,8 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--assume",
         choices=cli.ASSUMPTIONS,
-        help="what the estimator takes to be known in training (default: the recipe's: paper; of anywhere paper "
-        "at first, then field)",
+        help="what the estimator takes to be known in training (default: as the recipe says, paper; with "
+        "--preset anywhere paper at first, then field)",
     )
     cli.add_stop_argument(parser)
     cli.completed(add_problem_argument(parser), lambda: PROBLEMS, "yaml", "yml")

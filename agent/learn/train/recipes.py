@@ -50,7 +50,7 @@ ANYWHERE_ENV = {
     "headings": 16,
     "problem": "anywhere",
     "assume": "field",
-    "particles": 150,
+    "particles": 100,
 }
 
 # The paper's settings; where it states none, those of stable-baselines3.
@@ -163,10 +163,10 @@ TUNED = {
 ANYWHERE = {
     "ppo": Recipe(
         algorithm="ppo",
-        steps=6_000_000,
+        steps=3_000_000,
         missions=128,
         env=ANYWHERE_ENV,
-        first={"assume": "paper", "particles": 250},
+        first={"assume": "paper", "particles": 200},
         first_share=2 / 3,
         layers=(256, 256),
         learning_rate=5e-4,
