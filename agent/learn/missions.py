@@ -24,7 +24,7 @@ UNKNOWN_FACTS = {"q": of.RATE, "d": of.DIFFUSIVITY, "tau": of.LIFETIME}
 
 
 class Grounds:
-    """The areas of missions side by side: places are clipped, each to its own."""
+    """The areas of missions side by side: places are clipped, each to its own, as the wire carries it."""
 
     def __init__(self, count: int) -> None:
         self._lows, self._highs = np.empty((count, 2)), np.empty((count, 2))
@@ -32,7 +32,8 @@ class Grounds:
 
     def put(self, mission: int, ground: Area) -> None:
         """Set a mission's area."""
-        self._lows[mission], self._highs[mission] = ground.low, ground.high
+        wire = ground.on_the_wire()
+        self._lows[mission], self._highs[mission] = wire.low, wire.high
         self.fenced.pop(mission, None)
         if ground.obstacles:
             self.fenced[mission] = ground
