@@ -163,11 +163,11 @@ TUNED = {
 ANYWHERE = {
     "ppo": Recipe(
         algorithm="ppo",
-        steps=3_000_000,
+        steps=1_500_000,
         missions=128,
         env=ANYWHERE_ENV,
         first={"assume": "paper", "particles": 200},
-        first_share=2 / 3,
+        first_share=0.45,
         layers=(256, 256),
         learning_rate=5e-4,
         final_learning_rate=1e-5,

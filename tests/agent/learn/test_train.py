@@ -21,7 +21,6 @@ from agent.learn.train.folder import checkpoints, claim
 from agent.learn.train.recipes import PRESETS, TUNED, Recipe
 from agent.observation import SCHEMAS
 from agent.planning.moves import HeadingAndStep, Headings
-from link.cli import BadInput
 from plume.problem import Problem
 from plume.randomness import MAX_SEED
 
@@ -222,13 +221,6 @@ def test_what_a_user_says_of_the_recipe_holds_for_all_of_it() -> None:
     assert wide.env_at(0)["problem"] == '{"step_m":2.0}'
     alone = _with_changes(recipe, None, None, Problem())
     assert alone.env_at(0)["problem"] == "paper"
-
-
-def test_a_preset_without_a_recipe_for_the_algorithm_is_refused_in_one_line(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with pytest.raises(BadInput, match="--preset anywhere: there is no recipe of dqn; wanted ppo"):
-        main(["train", "dqn", "--preset", "anywhere"])
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -568,6 +560,15 @@ def told(
     except SystemExit as ended:
         status = ended.code
     return status, *capsys.readouterr()
+
+
+def test_a_preset_without_a_recipe_for_the_algorithm_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    line = "error: --preset anywhere: there is no recipe of dqn; wanted ppo\n"
+    assert told(capsys, monkeypatch, "train", "dqn", "--preset", "anywhere") == (2, "", line)
+    assert not list(tmp_path.iterdir())
 
 
 def trained_by_command(
