@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from plume.elementary import exp, log
 from plume.problem import PARTS, Area, Problem
 from plume.randomness import keyed
 from plume.scenario import AREA_M, DIFFUSIVITIES, LIFETIME_S, RATES, WIND_SPEEDS
@@ -32,7 +33,8 @@ def anywhere(seed: int) -> Problem:
     rng = keyed(seed, "problem")
 
     def between(low: float, high: float) -> float:
-        return low * (high / low) ** rng.random()
+        share = rng.random()
+        return float(exp((1 - share) * log(low) + share * log(high)))
 
     side_m, aspect = between(*SIDES_M), between(1 / ASPECT, ASPECT)
     width_m, height_m = side_m * math.sqrt(aspect), side_m / math.sqrt(aspect)

@@ -132,7 +132,7 @@ class Legs(BaseCallback):
         assert isinstance(model.env, StableBaselinesEnv)
         model.env.fly(self._recipe.env_at(self.num_timesteps))
         model.env.seed(key % (TRAINING_SEEDS - model.n_envs))
-        model._last_obs = model.env.reset()  # type: ignore[assignment]
+        model._last_obs = model.env.reset()
         model._last_episode_starts = np.ones(model.n_envs, dtype=bool)
         if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None and model.num_timesteps:
             # Returns over several moves must not continue from the missions that the checkpoint broke off
