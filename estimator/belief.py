@@ -11,6 +11,7 @@ from estimator.kernels.checks import log_likelihood_of_one_value, one_wind_p_val
 from estimator.kernels.densities import log_priors
 from estimator.kernels.weights import effective_sample_size, moments, weighted_mean
 from estimator.priors import Fixed
+from estimator.repeats import way_back
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles, Stop
 from plume.elementary import Array, Indices, direction
@@ -82,6 +83,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         wind_p_value=one_wind(posterior, config),
         intermittency=gas,
         advised_dwell=advised_dwell(gas, config.sensor),
+        back=way_back(posterior.readings[:, :2]) if posterior.vehicles is None else None,
     )
     particles = np.empty((posterior.particles.shape[1], len(unknown_means) + 1), np.float32, order="F")
     particles[:, :-1] = posterior.particles.T

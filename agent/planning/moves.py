@@ -28,20 +28,26 @@ class Reach:
     step: float = STEP_M  # length of a move, m; `fitted` shortens it
     measurements: int = 25  # hypothetical readings for each move
     area: Area = AREA  # where it may fly
-    fits: bool = False  # whether moves may be shorter than a step: `fitted`
+    # Whether moves may be shorter than a step, and a search that repeats itself turns away: `fitted`.
+    fits: bool = False
+    avoided: tuple[float, float] | None = None  # (x, y) m: no move goes there while there is another
 
     def fitted(self, belief: Belief) -> "Reach":
-        """Return it with moves that are not long against the belief, if it `fits` its moves.
+        """Return it with moves that are not long against the belief, and not back, if it `fits` its moves.
 
         A move is at most a quarter of the spread: a longer one passes readings that would tell it where to
         turn. Where the spread is small, it is at most a FINE part of the area's side instead, and 4 spreads,
         or it hops to and fro across the source. It is never below the FINEST part, or it would stay where it
-        is. If the place is known, moves are as long as they were.
+        is. If the place is known, moves are as long as they were. A search that repeats itself
+        (`Belief.back`) goes elsewhere.
         """
+        if not self.fits:
+            return self
         shortest, fine = self.area.side_m * FINEST, self.area.side_m * FINE
         longest = max(belief.spread / 4, min(max(4 * belief.spread, shortest), fine))
-        is_long = self.fits and belief.spread > 0 and longest < self.step
-        return replace(self, step=longest) if is_long else self
+        step = longest if belief.spread > 0 and longest < self.step else self.step
+        changes = step != self.step or belief.back is not None
+        return replace(self, step=step, avoided=belief.back) if changes else self
 
     @cached_property
     def wire(self) -> Area:
@@ -55,9 +61,16 @@ class Reach:
         the place itself.
         """
         if self.area.obstacles:
-            return self._moves_between(position)
-        places = (np.asarray(position) + self.step * self.directions).astype(np.float32).astype(np.float64)
-        return np.asarray(places[self.area.held(places)])
+            places = self._moves_between(position)
+        else:
+            places = np.asarray(position) + self.step * self.directions
+            places = places.astype(np.float32).astype(np.float64)
+            places = places[self.area.held(places)]
+        if self.avoided is None:
+            return places
+        near = np.square(places - np.array(self.avoided)).sum(axis=1)
+        onwards = places[near > np.square(places - np.array(position)).sum(axis=1) / 4]
+        return onwards if len(onwards) else places
 
     def _moves_between(self, position: tuple[float, float]) -> Array:
         steps = self.step * np.array(PARTS)[:, None, None] * self.directions  # (P, A, 2)

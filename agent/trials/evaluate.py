@@ -47,6 +47,7 @@ SHOWN = {
     "moves": (2, "moves"),
     "mtd_m": (2, "MTD"),
     "mtd_floors": (4, "MTD in floors"),
+    "stalls": (4, "stalls"),
     "search_time_s": (5, "ST"),
     "decision_ms": (6, "decision"),
 }

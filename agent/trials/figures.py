@@ -12,6 +12,7 @@ from plume.elementary import Array
 from plume.scenario import AS_MODELLED
 from plume.sensors.names import GAUSSIAN, text
 
+USUAL_SENSOR = text(GAUSSIAN)
 RESAMPLES = 1000
 LARGEST = 2_000_000  # values that the bootstrap draws at once, at most: a limit on memory
 # By figure: heading in tables, scale and digits.
@@ -24,6 +25,7 @@ COLUMNS = {
     "mtd_floors": ("MTD, floors", 1.0, 2),
     "nees_mean": ("NEES", 1.0, 2),
     "search_time_s": ("ST, s", 1.0, 3),
+    "stalls": ("stalls", 1.0, 2),
     "decision_ms": ("decision, ms", 1.0, 2),
     "update_ms": ("update, ms", 1.0, 2),
 }
@@ -64,7 +66,7 @@ class MissionRow(msgspec.Struct, frozen=True):
     decision_ms: float  # mean processor time of the agent for a decision
     update_ms: float  # mean processor time of the estimator for a reading
     # Older files lack this column and those below; their rows get these defaults.
-    sensor: str = text(GAUSSIAN)
+    sensor: str = USUAL_SENSOR
     # The priors given, in the form of `--prior`, separated by spaces; None where there were none.
     prior: str | None = None
     stop_on: str = "location"
@@ -83,6 +85,8 @@ class MissionRow(msgspec.Struct, frozen=True):
     vehicles: int = 1
     start_from: str = "point"  # where they started, in the form of --from
     separation_m: float | None = None  # least distance between the ways of two vehicles; None of one alone
+    # Readings after which the search was found to repeat itself; None in older files, and of fleets.
+    stalls: int | None = None
 
     @property
     def false_stop(self) -> bool:
@@ -187,6 +191,7 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
         "nees_mean": mean_of("nees"),
         "error_mean_m": mean_of("error_m"),
         "search_time_s": mean_of("search_time_s"),
+        "stalls": bootstrap(np.array([row.stalls for row in rows if row.stalls is not None])),
         "decision_ms": bootstrap(np.array([row.decision_ms for row in rows])),
         "update_ms": bootstrap(np.array([row.update_ms for row in rows])),
     }

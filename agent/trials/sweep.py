@@ -138,7 +138,7 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
     warned: set[Criterion] = set()
     updates_s: list[float] = []
     decisions_s: list[float] = []
-    distance_m = 0.0
+    distance_m, stalls = 0.0, 0
     positions: dict[int, tuple[float, float]] = {}  # of each vehicle
 
     def row(stop: Criterion, ceased: bool) -> MissionRow:
@@ -152,6 +152,7 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
             said,
             scenario.nearest(said.mean),
             distance_m,
+            stalls,
             floor_m,
             updates_s,
             decisions_s,
@@ -160,6 +161,7 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
     for step in steps:
         said = step.belief
         updates_s.append(step.update_s)
+        stalls += said.back is not None
         if said.step:
             decisions_s.append(step.decision_s)
             for reading in step.readings:
@@ -184,6 +186,7 @@ def row_of(
     last: Belief,
     source: tuple[float, float],
     distance_m: float,
+    stalls: int,
     floor_m: float | None,
     updates_s: Sequence[float],
     decisions_s: Sequence[float],
@@ -208,6 +211,7 @@ def row_of(
         nees=nees(last.mean, source, last.covariance),
         steps=last.step,
         distance_m=distance_m,
+        stalls=None if sweep.fleet.vehicles > 1 else stalls,
         floor_m=floor_m,
         search_time_s=sum(updates_s) + sum(decisions_s),
         decision_ms=1e3 * float(np.mean(decisions_s)) if decisions_s else 0.0,

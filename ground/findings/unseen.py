@@ -222,7 +222,10 @@ class SupposedSource:
         if spikes:
             of_spikes = spikes * spike_density(readings, self._of.sensor)
             with_it, without = with_it + of_spikes, without + of_spikes
-        result: Array = np.log(np.maximum(with_it, SMALLEST) / np.maximum(without, SMALLEST)).sum(axis=0)
+        # Not the logarithm of the ratio, which may overflow.
+        result: Array = (np.log(np.maximum(with_it, SMALLEST)) - np.log(np.maximum(without, SMALLEST))).sum(
+            axis=0
+        )
         return result
 
     def _std(self, settled: Array) -> Array:

@@ -125,6 +125,13 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float,
         Meta(ge=0, description="how long to hover for a reading in such gas, s; 0: as long as now"),
     ] = 0.0
+    back: Annotated[
+        Pair | None,
+        Meta(
+            description="where a search that repeats itself would go next, (x, y) m: it has read at two "
+            "places in turn for long; null if it does not"
+        ),
+    ] = None
 
 
 class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

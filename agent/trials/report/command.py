@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from agent.policies import OURS
 from agent.trials.evaluate import FIRST_TEST_SEED
+from agent.trials.report.leaderboard import Leaderboard, read_boards
 from agent.trials.report.page import Picture, page
 from agent.trials.report.results import USUAL, Results, read
 from agent.trials.report.tables import tables
@@ -55,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
         return cli.FAILED
     try:
         results = read(args.results)
+        leaderboard = read_boards(args.results, results)
     except ValueError as error:
         raise cli.BadInput(f"--results: {error}") from error
     try:
@@ -64,13 +66,13 @@ def run(args: argparse.Namespace) -> int:
     if refusal := cli.unwritable("--out", (args.out / name for name in FILES), args.force):
         raise cli.BadInput(refusal)
     try:
-        write(results, args.out, FLIGHTS)
+        write(results, leaderboard, args.out, FLIGHTS)
     except OSError as error:
         raise cli.BadInput(f"--out: {error}") from error
     return 0
 
 
-def write(results: Results, out: Path, flights: int) -> None:
+def write(results: Results, leaderboard: Leaderboard, out: Path, flights: int) -> None:
     """Write pictures, tables and the page to a folder.
 
     Two of the pictures show `flights` missions, which are flown here.
@@ -84,7 +86,7 @@ def write(results: Results, out: Path, flights: int) -> None:
         for name, title, caption, figure in _drawn(results, flights):
             pictures.append(Picture(name, title, caption, save(figure, out / name)))
             tell(f"{out / name}.png, .svg", sys.stdout)
-    all_tables = tables(results)
+    all_tables = [*leaderboard.tables(), *tables(results)]
     text = "\n".join(["# Results\n", _summary(results) + "\n", *(it.markdown() for it in all_tables)])
     for name, words in (("results.md", text), ("index.html", page(_summary(results), pictures, all_tables))):
         with whole(out / name) as partial:

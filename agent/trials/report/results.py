@@ -120,6 +120,11 @@ def read(folder: Path) -> Results:
                     f"{path}: missions in the world {row.world!r}; a report takes those of {AS_MODELLED!r} "
                     "alone"
                 )
+            if row.problem != "paper":
+                raise ValueError(
+                    f"{path}: missions of the problem {row.problem:.60}; a report takes those of paper, "
+                    "its folder leaderboard takes others"
+                )
             if row.threshold_m is None:
                 raise ValueError(
                     f"{path}: {row.policy} was flown with --stop {row.stop}; a report compares missions of "

@@ -80,6 +80,7 @@ def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
         "an honest belief. *ST*: mean"
         " processor time of estimator and agent over a ceased mission; compare ratios, which depend less on "
         "the machine than seconds."
+        " *stalls*: readings of a mission, on average, after which the search repeated itself."
         " *decision*: mean processor time of the agent per decision. *update*: mean processor time of the "
         "estimator per reading.",
     ]

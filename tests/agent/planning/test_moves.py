@@ -163,3 +163,14 @@ def test_moves_are_short_where_the_belief_is_narrow(
     assert replace(reach, fits=True).fitted(belief) == replace(
         reach, fits=True, step=pytest.approx(flown_m, rel=1e-12)
     )
+
+
+def test_a_search_that_repeats_itself_goes_elsewhere() -> None:
+    belief = msgspec.structs.replace(belief_at((5.0, 6.0)), spread=8.0, back=(6.0, 6.0))
+    reach = Reach(fits=True).fitted(belief)
+    assert reach.moves((5.0, 6.0)).tolist() == [[5.0, 7.0], [4.0, 6.0], [5.0, 5.0]]
+    assert reach.moves((5.0, 5.0)).tolist() == [[6.0, 5.0], [5.0, 6.0], [4.0, 5.0], [5.0, 4.0]]
+    assert Reach().fitted(belief) == Reach()  # as its paper has it
+    corner = Reach(fits=True, area=square(0.5)).fitted(msgspec.structs.replace(belief, back=(0.5, 0.25)))
+    assert corner.avoided == (0.5, 0.25)
+    assert replace(corner, headings=1, step=0.25).moves((0.25, 0.25)).tolist() == [[0.5, 0.25]]  # no other

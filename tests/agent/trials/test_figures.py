@@ -163,7 +163,7 @@ def test_the_nees_of_a_mission_is_its_error_in_terms_of_what_was_believed(
         ceased=False,
     )
     sweep, flight = Sweep(("greedy",), range(3)), ("greedy", 100, 1, "as-modelled")
-    row = row_of(sweep, flight, Config(100), True, False, last, source, 9.0, 3.0, [0.25, 0.75], [0.5])
+    row = row_of(sweep, flight, Config(100), True, False, last, source, 9.0, 2, 3.0, [0.25, 0.75], [0.5])
     assert row.nees == pytest.approx(nees)
     assert row.error_m == pytest.approx(math.dist((1.0, 2.0), source))
     assert row.located == (source == (1.0, 2.0))

@@ -19,6 +19,7 @@ from agent.policies import OURS
 from agent.trials.evaluate import write_csv
 from agent.trials.figures import MissionRow
 from agent.trials.report.command import FILES, run, save, write
+from agent.trials.report.leaderboard import Leaderboard
 from agent.trials.report.published import PUBLISHED
 from agent.trials.report.results import Results, Setting, read
 from agent.trials.report.tables import against_paper, tables
@@ -351,7 +352,7 @@ def test_the_same_picture_is_the_same_file(tmp_path: Path, drawing: Any) -> None
 def test_a_report_is_files_that_need_nothing_else(tmp_path: Path) -> None:
     out = tmp_path / "report"
     out.mkdir()
-    write(results_of(tmp_path, SEVERAL), out, flights=3)
+    write(results_of(tmp_path, SEVERAL), Leaderboard({}), out, flights=3)
     files = {path.name: path.read_bytes() for path in out.iterdir()}
     assert (
         set(files)
