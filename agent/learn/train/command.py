@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--preset",
         choices=PRESETS,
         default="tuned",
-        help="recipe: our best one for a problem, the paper's, or one for any area, step and prior, of ppo "
-        "(default: %(default)s)",
+        help="recipe: our best one for a problem, the paper's, or one for any area, step and prior, which "
+        "ppo learns in 14 minutes on a core (default: %(default)s)",
     )
     parser.add_argument(
         "--seed",
