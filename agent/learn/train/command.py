@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
         at_a_time = recipe.moves_at_a_time
         recipe = msgspec.structs.replace(recipe, steps=-(-args.steps // at_a_time) * at_a_time)
     try:
-        recipe = _with_changes(recipe, args.assume, args.stop, args.problem)
+        recipe = with_changes(recipe, args.assume, args.stop, args.problem)
     except ValueError as error:
         raise cli.BadInput(f"--{error}") from error
     folder: Path = args.out or KEPT_IN / f"{args.algorithm}-{args.preset}-{args.seed}"
@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _with_changes(recipe: Recipe, assume: str | None, stop: str | None, problem: Problem | None) -> Recipe:
+def with_changes(recipe: Recipe, assume: str | None, stop: str | None, problem: Problem | None) -> Recipe:
     """Return the recipe with another assumption, stop criterion or problem, or unchanged.
 
     Raises ValueError.

@@ -209,17 +209,17 @@ def test_a_run_over_a_set_of_problems_in_two_parts_comes_to_the_same_end_if_cut_
 
 
 def test_what_a_user_says_of_the_recipe_holds_for_all_of_it() -> None:
-    from agent.learn.train.command import _with_changes
+    from agent.learn.train.command import with_changes
 
     recipe = PRESETS["anywhere"]["ppo"]
-    assert _with_changes(recipe, None, None, None) == recipe
-    assert _with_changes(TUNED["ppo"], "paper", None, Problem()) == TUNED["ppo"]
-    paper = _with_changes(recipe, "paper", None, None)
+    assert with_changes(recipe, None, None, None) == recipe
+    assert with_changes(TUNED["ppo"], "paper", None, Problem()) == TUNED["ppo"]
+    paper = with_changes(recipe, "paper", None, None)
     assert {paper.env_at(steps)["assume"] for steps in (0, recipe.steps - 1)} == {"paper"}
     assert paper.env_at(0)["particles"] == 200
-    wide = _with_changes(recipe, None, None, Problem(step_m=2.0))
+    wide = with_changes(recipe, None, None, Problem(step_m=2.0))
     assert wide.env_at(0)["problem"] == '{"step_m":2.0}'
-    alone = _with_changes(recipe, None, None, Problem())
+    alone = with_changes(recipe, None, None, Problem())
     assert alone.env_at(0)["problem"] == "paper"
 
 
