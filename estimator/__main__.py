@@ -82,7 +82,7 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         args.lifetime,
         problem.ground,
         within=stop.within,
-        expected=problem.prior,
+        expected=problem.support,
         **known,
     )
     with Bus(

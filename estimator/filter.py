@@ -19,7 +19,7 @@ from link.bus.mavlink import Reading
 from plume.elementary import Array, Indices
 from plume.flight import leg_s
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS, PUFF_RATE
-from plume.problem import AREA, Area, Fenced
+from plume.problem import AREA, Area, Fenced, Part
 from plume.randomness import keyed
 from plume.scenario import LIFETIME_S
 from plume.sensors.instruments import Instrument
@@ -132,11 +132,16 @@ class Config:
 
     @cached_property
     def walls(self) -> Array:
-        """The sides (W, 4) of polygons in which no source is: x and y of both ends, counter-clockwise."""
-        ground = self.area
-        if not isinstance(ground, Fenced) or ground.source_inside:
-            return np.empty((0, 4))
-        return np.ascontiguousarray(ground.obstacles.walls.reshape(-1, 4))
+        """The sides (W, 4) of polygons in which no source is: x and y of both ends, counter-clockwise.
+
+        Where the source is expected in a polygon, all around it is one more.
+        """
+        ground, sides = self.area, [np.empty((0, 2, 2))]
+        if isinstance(ground, Fenced) and not ground.source_inside:
+            sides.append(ground.obstacles.walls)
+        if isinstance(self.expected, Part) and not {"x", "y"} & set(self.priors):
+            sides.append(self.expected.around)
+        return np.ascontiguousarray(np.concatenate(sides).reshape(-1, 4))
 
     @cached_property
     def sensor_text(self) -> str:

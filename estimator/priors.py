@@ -183,15 +183,16 @@ def draw(
 
     Raises ValueError if a prior hardly ever gives a value that its parameter can have.
     """
-    drawn = _drawn(rows, unknowns, count, rng)
-    for _ in range(MOST_DRAWS if len(walls) else 0):
-        inside = enclosed(_places(rows, unknowns, drawn), walls.reshape(-1, 2, 2))
-        if not inside.any():
-            return drawn
-        drawn[:, inside] = _drawn(rows, unknowns, count, rng)[:, inside]
-    if len(walls):
-        raise ValueError("keep_out: nearly every place where the source is expected is inside it")
-    return drawn
+    if not len(walls):
+        return _drawn(rows, unknowns, count, rng)
+    free: list[Array] = []
+    for _ in range(MOST_DRAWS):
+        # Draws that are kept are the first ones of a lattice, which are as even as all of it.
+        drawn = _drawn(rows, unknowns, count, rng)
+        free.append(drawn[:, ~enclosed(_places(rows, unknowns, drawn), walls.reshape(-1, 2, 2))])
+        if sum(each.shape[1] for each in free) >= count:
+            return np.ascontiguousarray(np.concatenate(free, axis=1)[:, :count])
+    raise ValueError("prior: nearly no place where the source is expected is in it, and outside keep_out")
 
 
 def _places(rows: Array, unknowns: Indices, particles: Array) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from plume.elementary import Array
 from plume.parameters import LIMITS
 from plume.polygons.obstacles import Obstacles
-from plume.polygons.polygons import crosses_itself, outline
+from plume.polygons.polygons import crosses_itself, enclosed, outline, sides_of
 from plume.randomness import keyed, uniform
 from plume.scenario import (
     AREA_M,
@@ -143,6 +143,43 @@ class Fenced(Area, frozen=True, forbid_unknown_fields=True, kw_only=True):
         return _obstacles(self)
 
 
+class Part(Area, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A polygon, and the rectangle around it. It holds what is in the polygon."""
+
+    corners: Corners
+
+    @classmethod
+    def of(cls, corners: Corners) -> "Part":
+        """Return the polygon with these corners."""
+        (west, south), (east, north) = (
+            map(min, zip(*corners, strict=True)),
+            map(max, zip(*corners, strict=True)),
+        )
+        return cls((west, south), (east, north), corners=corners)
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"the polygon of {len(outline(self.corners))} corners in {Area(self.low, self.high).text}"
+
+    @property
+    def around(self) -> Array:
+        """The sides (S, 2, 2) m of all that is not in it: those of a rectangle, and clockwise its own."""
+        (west, south), (east, north) = self.low, self.high
+        off_m = self.side_m
+        west, south, east, north = west - off_m, south - off_m, east + off_m, north + off_m
+        rectangle = sides_of([(west, south), (east, south), (east, north), (west, north)])
+        return np.concatenate([rectangle, sides_of(self.corners, clockwise=True)])
+
+    def holds(self, place: Sequence[float]) -> bool:
+        """Whether a place, (x, y) m, is inside. NaN is not."""
+        return bool(self.held(np.array(place, np.float64)))
+
+    def held(self, places: Array) -> NDArray[np.bool_]:
+        """Return which of these places (..., 2) m are inside: (...)."""
+        return enclosed(places, sides_of(self.corners))
+
+
 @lru_cache(64)
 def _obstacles(ground: Fenced) -> Obstacles:
     return Obstacles(ground.keep_out, ground.keep_in or (), ground.clearance_m, ground.low, ground.high)
@@ -213,9 +250,10 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         bool, Meta(description="whether the source may be inside a polygon of keep_out: true or false")
     ] = False
     prior: Annotated[
-        Area | None,
+        Area | Corners | None,
         Meta(
-            description="where the estimator expects the source: a rectangle in the area; default: the area"
+            description="where the estimator expects the source: a rectangle in the area, or a polygon, its "
+            "corners in order, (x, y) m; default: the area"
         ),
     ] = None
     source: Annotated[
@@ -246,6 +284,9 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             msgspec.structs.force_setattr(self, "keep_out", polygons)
         if self.keep_in:
             msgspec.structs.force_setattr(self, "keep_in", tuple(map(tuple, self.keep_in)))
+        if self.prior is not None and not isinstance(self.prior, Area):
+            msgspec.structs.force_setattr(self, "prior", tuple(map(tuple, self.prior)))
+            _check_polygons({"prior": self.prior})
         width_m = min(self.area.size_m)
         if not width_m >= SHORTEST_M:
             raise ValueError(
@@ -278,9 +319,9 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
                     f"{name}: {_listed(getattr(self, name))} is not allowed; wanted a number, or the least "
                     f"and the greatest, from {least:g} to {most:.12g}"
                 )
-        for name, place in (("start", self.start), ("prior", self.prior)):
+        for name, place in (("start", self.start), ("prior", self.support)):
             if place is not None and not all(map(self.area.holds, _ends(place))):
-                what = "a place or a rectangle" if name == "start" else "a rectangle"
+                what = "a place or a rectangle" if name == "start" else "a rectangle or a polygon"
                 raise ValueError(
                     f"{name}: {_said(place)} is not allowed; wanted {what} in the area, {self.area.text}"
                 )
@@ -324,9 +365,14 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return SOURCES if self.area == AREA and self.prior is None else self.expected
 
     @property
+    def support(self) -> Area | None:
+        """The part of the area in which alone the estimator expects the source; None: there is none."""
+        return self.prior if self.prior is None or isinstance(self.prior, Area) else Part.of(self.prior)
+
+    @property
     def expected(self) -> Area:
         """Where the estimator expects the source."""
-        return self.prior or self.area
+        return self.support or self.area
 
     @property
     def spans(self) -> tuple[Array, Array]:
@@ -357,7 +403,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             return told
         return told.changed(
             start=self.start,
-            source=self.expected,
+            source=None if self.prior else self.area,
             keep_out=self.keep_out,
             keep_in=self.keep_in,
             clearance_m=self.clearance_m,
@@ -383,16 +429,15 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         A source has to be where one may be, `may_leak`, a start where a vehicle may be
         that comes straight from home.
         """
-        if (obstacles := self.ground.obstacles) is None:
-            return source, start
+        sources, obstacles = self.sources, self.ground.obstacles
         rng = keyed(seed, "source again")
         for _ in range(MOST_DRAWS):
-            if self.may_leak(source):
+            if self.may_leak(source) and not (isinstance(sources, Part) and not sources.holds(source)):
                 break
-            source = _uniform(rng, self.sources)
+            source = _uniform(rng, sources)
         rng = keyed(seed, "start again")
         for _ in range(MOST_DRAWS):
-            if obstacles.may_begin(np.array(start, np.float32).astype(np.float64)):
+            if obstacles is None or obstacles.may_begin(np.array(start, np.float32).astype(np.float64)):
                 break
             start = _uniform(rng, self.starts)
         return source, start
@@ -407,7 +452,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return msgspec.structs.replace(self, **changes)
 
 
-def in_area(area: Area, prior: Area | None = None) -> Problem:
+def in_area(area: Area, prior: Area | Corners | None = None) -> Problem:
     """Return the paper's problem in another area, with a step that fits. Raises ValueError."""
     return Problem(area=area, prior=prior, step_m=min(STEP_M, min(area.size_m) / PARTS))
 
@@ -443,9 +488,10 @@ def _check_ways(ground: Fenced, starts: Area | Place, expected: Area, sources: A
 def _check_polygons(polygons: Mapping[str, Corners]) -> None:
     """Raise ValueError, which names the field, if a polygon is none or there are too many corners."""
     if sum(map(len, polygons.values())) > MOST_CORNERS:
+        corners, name = sum(map(len, polygons.values())), next(iter(polygons)).partition("[")[0]
         raise ValueError(
-            f"keep_out: {sum(map(len, polygons.values()))} corners are not allowed; wanted up to "
-            f"{MOST_CORNERS} in all, those of keep_in included"
+            f"{name}: {corners} corners are not allowed; wanted up to {MOST_CORNERS} in all"
+            + ", those of keep_in included" * (name == "keep_out")
         )
     for name, polygon in polygons.items():
         for corner in polygon:
@@ -462,12 +508,16 @@ def _check_polygons(polygons: Mapping[str, Corners]) -> None:
 
 
 def _grid(place: Area | Place, count: int) -> Array:
-    """Return the middles of count x count cells of a rectangle, or the place itself: (N, 2)."""
+    """Return the middles of count x count cells of a rectangle, or the place itself: (N, 2).
+
+    Of a polygon they are those in it, and its corners.
+    """
     if not isinstance(place, Area):
         return np.array([place])
     shares = (np.arange(count) + 0.5) / count
     (x, y), (width_m, height_m) = place.low, place.size_m
-    return np.array([(x + east * width_m, y + north * height_m) for east in shares for north in shares])
+    cells = np.array([(x + east * width_m, y + north * height_m) for east in shares for north in shares])
+    return np.concatenate([cells[place.held(cells)], place.corners]) if isinstance(place, Part) else cells
 
 
 def _uniform(rng: np.random.Generator, place: Area | Place) -> Place:

@@ -189,7 +189,7 @@ class Missions:
             problem.ground,
             assume=self._assume,
             within=criterion.within,
-            expected=problem.prior,
+            expected=problem.support,
         )
 
     def _read(self, missions: Indices) -> None:

@@ -89,7 +89,7 @@ def prepared(
         told.d,
         told.tau,
         problem.ground,
-        expected=problem.prior,
+        expected=problem.support,
         **{"sensor": sensor_of(problem), **knowledge},
     )
     return World(told, seed, config.sensor, problem.world, problem), config

@@ -277,7 +277,7 @@ def fly_all(
 
 def complete(sweep: Sweep, rows: Iterable[MissionRow]) -> dict[Flight, list[MissionRow]]:
     """Return the flights of a sweep that rows tell in full: flown in its way, with all its criteria."""
-    searched: dict[str, Any] = {"area": sweep.problem.ground, "expected": sweep.problem.prior}
+    searched: dict[str, Any] = {"area": sweep.problem.ground, "expected": sweep.problem.support}
     config, wanted = (
         Config(**searched, **{"sensor": sensor_of(sweep.problem), **sweep.knowledge}),
         [stop.text for stop in sweep.stops],

@@ -102,7 +102,7 @@ def test_a_service_that_dies_is_seen_and_seen_again_when_it_is_back(
     start("sitl", "uav", str(mission), "--connect", router, "--speedup", "20")
     start("estimator", "--connect", router)
     agent = start("agent", "--connect", router)
-    window.until(f"{MODEL}?.measurements.length >= 3", 30)
+    window.until(f"{MODEL}?.measurements.length >= 3")
     window.until(verdict("agent", "ok"), 30)
     agent.kill()
     window.until(verdict("agent", "missing"))

@@ -58,14 +58,19 @@ def by_threshold(results: Results) -> Table:
 
 
 def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
-    """Return our figures, one row per policy and setting."""
+    """Return our figures, one row per policy and setting, without stalls where no row counts them."""
+    columns = [
+        name
+        for name in COLUMNS
+        if name != "stalls" or any(results.figures[key][name] is not None for key in keys)
+    ]
     rows = [
         [
             str(setting.particles),
             f"{setting.threshold_m:g}",
             policy,
             str(results.figures[policy, setting]["missions"]),
-            *(cell(results.figures[policy, setting], figure) for figure in COLUMNS),
+            *(cell(results.figures[policy, setting], figure) for figure in columns),
         ]
         for policy, setting in sorted(keys, key=lambda key: key[1])  # policies stay in their order
     ]
@@ -80,12 +85,13 @@ def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
         "an honest belief. *ST*: mean"
         " processor time of estimator and agent over a ceased mission; compare ratios, which depend less on "
         "the machine than seconds."
-        " *stalls*: readings of a mission, on average, after which the search repeated itself."
-        " *decision*: mean processor time of the agent per decision. *update*: mean processor time of the "
+        + " *stalls*: readings of a mission, on average, after which the search repeated itself."
+        * ("stalls" in columns)
+        + " *decision*: mean processor time of the agent per decision. *update*: mean processor time of the "
         "estimator per reading.",
     ]
     return Table(
-        title, ["N", "ζ, m", "policy", "missions", *(head for head, _, _ in COLUMNS.values())], rows, notes
+        title, ["N", "ζ, m", "policy", "missions", *(COLUMNS[name][0] for name in columns)], rows, notes
     )
 
 
