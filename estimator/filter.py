@@ -19,7 +19,7 @@ from link.bus.mavlink import Reading
 from plume.elementary import Array, Indices
 from plume.flight import leg_s
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS, PUFF_RATE
-from plume.problem import AREA, Area, Fenced, Part
+from plume.problem import AREA, Area, Fenced, PolygonArea
 from plume.randomness import keyed
 from plume.scenario import LIFETIME_S
 from plume.sensors.instruments import Instrument
@@ -139,7 +139,7 @@ class Config:
         ground, sides = self.area, [np.empty((0, 2, 2))]
         if isinstance(ground, Fenced) and not ground.source_inside:
             sides.append(ground.obstacles.walls)
-        if isinstance(self.expected, Part) and not {"x", "y"} & set(self.priors):
+        if isinstance(self.expected, PolygonArea) and not {"x", "y"} & set(self.priors):
             sides.append(self.expected.around)
         return np.ascontiguousarray(np.concatenate(sides).reshape(-1, 4))
 

@@ -143,13 +143,13 @@ class Fenced(Area, frozen=True, forbid_unknown_fields=True, kw_only=True):
         return _obstacles(self)
 
 
-class Part(Area, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PolygonArea(Area, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A polygon, and the rectangle around it. It holds what is in the polygon."""
 
     corners: Corners
 
     @classmethod
-    def of(cls, corners: Corners) -> "Part":
+    def of(cls, corners: Corners) -> "PolygonArea":
         """Return the polygon with these corners."""
         (west, south), (east, north) = (
             map(min, zip(*corners, strict=True)),
@@ -367,7 +367,9 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     @property
     def support(self) -> Area | None:
         """The part of the area in which alone the estimator expects the source; None: there is none."""
-        return self.prior if self.prior is None or isinstance(self.prior, Area) else Part.of(self.prior)
+        return (
+            self.prior if self.prior is None or isinstance(self.prior, Area) else PolygonArea.of(self.prior)
+        )
 
     @property
     def expected(self) -> Area:
@@ -432,7 +434,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         sources, obstacles = self.sources, self.ground.obstacles
         rng = keyed(seed, "source again")
         for _ in range(MOST_DRAWS):
-            if self.may_leak(source) and not (isinstance(sources, Part) and not sources.holds(source)):
+            if self.may_leak(source) and not (isinstance(sources, PolygonArea) and not sources.holds(source)):
                 break
             source = _uniform(rng, sources)
         rng = keyed(seed, "start again")
@@ -517,7 +519,9 @@ def _grid(place: Area | Place, count: int) -> Array:
     shares = (np.arange(count) + 0.5) / count
     (x, y), (width_m, height_m) = place.low, place.size_m
     cells = np.array([(x + east * width_m, y + north * height_m) for east in shares for north in shares])
-    return np.concatenate([cells[place.held(cells)], place.corners]) if isinstance(place, Part) else cells
+    return (
+        np.concatenate([cells[place.held(cells)], place.corners]) if isinstance(place, PolygonArea) else cells
+    )
 
 
 def _uniform(rng: np.random.Generator, place: Area | Place) -> Place:

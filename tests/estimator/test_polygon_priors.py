@@ -7,7 +7,7 @@ from agent.trials.rollout import mission
 from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.priors import Normal
 from link.bus.mavlink import Reading
-from plume.problem import Area, Part, Problem
+from plume.problem import Area, PolygonArea, Problem
 from plume.scenario import draw
 
 TRIANGLE = ((6.0, 5.0), (27.0, 8.0), (12.0, 26.0))
@@ -104,7 +104,7 @@ def test_a_thin_corridor_along_a_pipe_is_searched() -> None:
     problem = Problem(area=Area((-110.0, 0.0), (110.0, 110.0)), step_m=4.0, prior=pipe, start=(-100.0, 5.0))
     for step in mission(3, "homing", 200, 0.5, budget=6, problem=problem, assume="field").steps:
         places = step.posterior.particles[:2].T
-        assert Part.of(pipe).held(places).all()
+        assert PolygonArea.of(pipe).held(places).all()
 
 
 def test_a_problem_with_a_polygon_as_prior_is_what_its_text_says() -> None:
