@@ -12,6 +12,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from agent.facts import site_in, site_of
 from agent.planning.moves import Headings, Move, Reach
 from link.bus.messages import Belief, Particles
 from link.files import whole
@@ -25,6 +26,7 @@ MOST_BYTES = 64 * 2**20  # most bytes of the graph; a bundle that claims more is
 MOST_PAGE_BYTES = 4 * 2**20  # most bytes of the page; in memory it takes many times that
 MOST_HEADINGS = 1024
 MOST_STEP_M = 10.0
+ANYWHERE = {("polar-2", 2)}  # observations, with their versions, that know no problem of their own
 
 
 class BundleError(ValueError):
@@ -80,7 +82,8 @@ class Bundle:
                 f"wanted version {self._schema.version} of {self._schema.size}: train it anew"
             )
         _check(page.move)
-        self._problem = trained_for(page)
+        # What the observation knows of the problem: that of training, or, None, the one that is flown.
+        self._site = None if self._schema.anywhere else site_of(trained_for(page))
         try:
             self._layers = graphs.read(data, page.observation)
         except graphs.GraphError as error:
@@ -112,11 +115,17 @@ class Bundle:
 
         A learned policy always takes its best action and draws no random numbers.
         """
-        observation, frame = self._schema.see(belief, particles, self._problem)
+        site = site_in(reach.area, reach.step) if self._site is None else self._site
+        observation, frame = self._schema.look(belief, particles, site)
         move = self.page.move
         action = move.action(self.said(observation))
         x, y = move.waypoints(np.array([belief.position]), frame[None], action, reach.area)[0].tolist()
         return x, y
+
+
+def flies_anywhere(page: Page) -> bool:
+    """Whether a policy flies in any area, with any step and prior, and not only as it was trained."""
+    return (page.schema, page.schema_version) in ANYWHERE
 
 
 def trained_for(page: Page) -> Problem:

@@ -16,45 +16,47 @@ rotation or a mirror thus look alike. The numbers are, in order:
 The policy has its own prior. In training, sources are drawn from the square of Table 1, so particles
 outside it get a twentieth of their weight; in another problem the square is where its estimator expects
 them. The observation also contains the estimator's own spread, since that decides the stop.
+
+`polar-2` (version 2 of `polar`): without units and without a prior of its own, for any area, step and prior
+(`agent.scale_free`).
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent import scale_free
+from agent.facts import (
+    DIFFUSIVITY,
+    GAS,
+    LIFETIME,
+    MEAN_X,
+    MEAN_Y,
+    RATE,
+    ROWS,
+    WIND_X,
+    WIND_Y,
+    XX,
+    YY,
+    X,
+    Y,
+    site_of,
+)
 from link.bus.messages import Belief, Particles
 from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices, direction
 from plume.numerics import exp, log, log1p, total_of
-from plume.problem import PAPER, SOURCES, Problem
+from plume.problem import PAPER, Problem
 from plume.sensors.names import GAUSSIAN
 
 Observation = NDArray[np.float32]
-# (3,): direction (cos, sin) of the observation's x axis in the world; 1, or −1 if its y axis is mirrored.
+# (3,): the observation's x axis in the world, (x, y); 1, or −1 if its y axis is mirrored. The axis has length
+# 1, in `polar-2` the length of a move, m.
 Frame = Array
-
-# The fields of a belief (`link.bus.messages.Belief`) that are used beside its particles; columns of arrays
-# (B, 13).
-FACTS = (
-    "x",
-    "y",
-    "gas",
-    "mean_x",
-    "mean_y",
-    "xx",
-    "xy",
-    "yy",
-    "wind_x",
-    "wind_y",
-    "rate",
-    "diffusivity",
-    "lifetime",
-)
-X, Y, GAS, MEAN_X, MEAN_Y, XX, _, YY, WIND_X, WIND_Y, RATE, DIFFUSIVITY, LIFETIME = range(len(FACTS))
 
 SECTORS = 16
 RINGS_M = np.array([1.5, 3.0, 5.0, 8.0, 11.5, 15.5, 20.0])  # radii between the rings, m
@@ -73,15 +75,6 @@ STEEPNESS = GAUSSIAN.sensor_noise / GAUSSIAN.environment_noise  # α/β
 INVERSE_NOISE_SQUARED = 1 / (GAUSSIAN.sensor_noise * GAUSSIAN.sensor_noise)  # 1/α²
 TANGENTS = np.divide(*reversed(direction(np.array([1, 3, 5, 7]) / 32)))
 COSINES, SINES = direction(np.arange(HEADINGS) / HEADINGS)
-
-
-def site_of(problem: Problem) -> Array:
-    """Return what the kernels know of a problem, (8,): the ends of its area, and of where it expects sources.
-
-    Each is west, south, east and north, m. In Table 1's problem that is Table 1's square.
-    """
-    expected = SOURCES if problem.sources == SOURCES else problem.expected
-    return np.array([*problem.area.low, *problem.area.high, *expected.low, *expected.high], np.float64)
 
 
 @subroutine
@@ -193,8 +186,8 @@ SEE_ALONE = (
     "void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float32[::1])"
 )
 SEE_MISSIONS = (
-    "void(float64[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], float64[::1], int64[::1], "
-    "float64[:, ::1], float32[:, ::1])"
+    "void(float64[:, :, ::1], float64[:, ::1], float64[::1], int64[::1], float64[:, ::1], float64[:, ::1], "
+    "int64[::1], float64[:, ::1], float32[:, ::1])"
 )
 
 
@@ -276,15 +269,16 @@ def _paper_of_missions(
     _particles: Array,
     _weights: Array,
     _totals: Array,
+    _rows: Indices,
     facts: Array,
-    site: Array,
+    sites: Array,
     missions: Indices,
     frames: Array,
     results: NDArray[np.float32],
 ) -> None:
     nothing = np.empty(0)
     for b in missions:
-        _paper(nothing, nothing, nothing, facts[b], site, frames[b], results[b])
+        _paper(nothing, nothing, nothing, facts[b], sites[b], frames[b], results[b])
 
 
 @kernel(SEE_MISSIONS, nogil=True)
@@ -292,8 +286,9 @@ def _polar_of_missions(
     particles: Array,
     weights: Array,
     totals: Array,
+    _rows: Indices,
     facts: Array,
-    site: Array,
+    sites: Array,
     missions: Indices,
     frames: Array,
     results: NDArray[np.float32],
@@ -304,7 +299,7 @@ def _polar_of_missions(
         for i in range(len(x)):  # float32 values, as on the wire
             x[i], y[i] = np.float32(particles[b, 0, i]), np.float32(particles[b, 1, i])
             sent[i] = np.float32(weights[b, i] / totals[b])
-        _polar(x, y, sent, facts[b], site, frames[b], results[b])
+        _polar(x, y, sent, facts[b], sites[b], frames[b], results[b])
 
 
 @dataclass(frozen=True)
@@ -313,10 +308,13 @@ class Schema:
 
     version: int
     size: int  # numbers in an observation
-    _see: Callable[[Array, Array, Array, Array, Array, Frame, Observation], None]
-    # Fills the last two arguments for the given missions: (particles (B, 2, N), weights (B, N), their sums
-    # (B,), facts (B, 13), site (8,), missions (M,), frames (B, 3), observations (B, size)).
-    see_missions: Callable[[Array, Array, Array, Array, Array, Indices, Array, NDArray[np.float32]], None]
+    anywhere: bool  # whether a policy that sees it may fly in any problem, not only in that of its training
+    # Fills the last two arguments for the given missions: (particles (B, D, N), x and y in the first rows,
+    # weights (B, N), their sums (B,), rows of ROWS (7,), facts (B, 13), sites (B, 9), missions (M,), frames
+    # (B, 3), observations (B, size)).
+    see_missions: Callable[
+        [Array, Array, Array, Indices, Array, Array, Indices, Array, NDArray[np.float32]], None
+    ]
 
     def see(
         self, belief: Belief, particles: Particles, problem: Problem = PAPER
@@ -325,12 +323,16 @@ class Schema:
 
         problem: that the policy is trained for.
         """
+        return self.look(belief, particles, site_of(problem))
+
+    def look(self, belief: Belief, particles: Particles, site: Array) -> tuple[Observation, Frame]:
+        """Do the same at a site, (9,), as of `agent.facts.site_of`."""
         rows = np.array(particles.T, np.float64, order="C")
         columns, weights = dict(zip(belief.unknowns, rows, strict=False)), rows[-1]
-        x, y = (
-            columns.get(name, np.full(len(weights), known))
+        place = [
+            columns.pop(name, np.full(len(weights), known))
             for name, known in zip("xy", belief.mean, strict=True)
-        )
+        ]
         facts = (
             *belief.position,
             belief.gas,
@@ -341,12 +343,29 @@ class Schema:
             belief.diffusivity,
             belief.lifetime,
         )
-        frame, result = np.empty(3), np.empty(self.size, np.float32)
-        self._see(x, y, weights, np.array(facts), site_of(problem), frame, result)
-        return result, frame
+        frame, result = np.empty((1, 3)), np.empty((1, self.size), np.float32)
+        values = np.array([[*place, *columns.values()]])
+        self.see_missions(
+            values,
+            weights[None],
+            np.ones(1),
+            rows_of(("x", "y", *columns)),
+            np.array([facts]),
+            site[None],
+            np.zeros(1, np.int64),
+            frame,
+            result,
+        )
+        return result[0], frame[0]
+
+
+def rows_of(unknowns: Sequence[str]) -> Indices:
+    """Return the rows of ROWS among those of the unknowns, (7,); −1 for what is known."""
+    return np.array([unknowns.index(name) if name in unknowns else -1 for name in ROWS], np.int64)
 
 
 SCHEMAS: Mapping[str, Schema] = {
-    "paper": Schema(1, PAPER_SIZE, _paper, _paper_of_missions),
-    "polar": Schema(1, POLAR_SIZE, _polar, _polar_of_missions),
+    "paper": Schema(1, PAPER_SIZE, False, _paper_of_missions),
+    "polar": Schema(1, POLAR_SIZE, False, _polar_of_missions),
+    "polar-2": Schema(2, scale_free.SIZE, True, scale_free.see_missions),
 }

@@ -170,23 +170,24 @@ def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), problem:
     if name in registry.PLANNERS:
         return registry.reach(name, {**step, **given}, problem.ground)
     if bundle_path(name):
-        if given:
-            flags = ", ".join(f"--{flag}" for flag in given)
-            raise ValueError(f"{flags} is for planners; {name} moves as it was trained to")
-        if refusal := _unlike(problem, _trained_for(name)):
+        trained = _trained_for(name)
+        if wrong := ", ".join(f"--{flag}" for flag in given if trained or flag != "step"):
+            raise ValueError(f"{wrong} is for planners; {name} moves as it was trained to")
+        if trained and (refusal := _unlike(problem, trained)):
             raise ValueError(f"--problem: {refusal}")
     return Reach(**{**step, **given}, area=problem.ground)  # type: ignore[arg-type]
 
 
-def _trained_for(name: str) -> Problem:
-    """Return the problem that a learned policy was trained for. Raises ValueError."""
+def _trained_for(name: str) -> Problem | None:
+    """Return the problem that a learned policy flies; None if it flies any. Raises ValueError."""
     path = bundle_path(name)
     if path is None or path in SHIPPED.values():
         return PAPER
-    from agent.bundle import BundleError, read, trained_for
+    from agent.bundle import BundleError, flies_anywhere, read, trained_for
 
     try:
-        return trained_for(read(path)[0])
+        page, _ = read(path)
+        return None if flies_anywhere(page) else trained_for(page)
     except BundleError as error:
         raise ValueError(f"{path}: {error}") from error
 

@@ -20,6 +20,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from agent.learn.missions import Missions
+from agent.learn.problems import SETS, Draw
 from agent.learn.render import RENDERING, Onlooker, Pixels
 from agent.observation import BOUND, SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
@@ -34,7 +35,8 @@ from plume.sensors.names import GAUSSIAN
 # Training draws seeds below it. Seeds from it to a million are for validation, above for testing.
 TRAINING_SEEDS = 900_000
 # By name: reward of each step and of the stop.
-REWARDS: Mapping[str, tuple[float, float]] = {"paper": (0.0, 1.0), "cost": (-0.01, 1.0)}
+REWARDS: Mapping[str, tuple[float, float]] = {"paper": (0.0, 1.0), "cost": (-0.01, 1.0), "way": (-0.01, 1.0)}
+WAY = 1 / 30  # of `way`, a step as a part of the area's side: a shorter one costs less
 
 Flags = NDArray[np.bool_]
 
@@ -87,6 +89,17 @@ class Settings:
             raise ValueError(f"threshold_m {threshold_m!r} is not allowed; wanted a number above 0")
         if not isinstance(self.stop, str | None):
             raise ValueError(f"stop {self.stop!r} is not allowed; wanted {FORMS}")
+        if self.draws:
+            if not SCHEMAS[self.observation].anywhere:
+                raise ValueError(
+                    f"problem {self.problem!r} is not allowed with the observation {self.observation!r}; "
+                    f"wanted {' or '.join(name for name, schema in SCHEMAS.items() if schema.anywhere)}"
+                )
+            if self.budget is not None or self.world is not None:
+                name = "budget" if self.budget is not None else "world"
+                raise ValueError(f"{name} is not allowed with problem {self.problem!r}, which draws its own")
+            _ = self.criterion
+            return
         try:
             problem = names.named(self.problem)
         except ValueError as error:
@@ -111,20 +124,30 @@ class Settings:
                 )
         return cls(**given)
 
+    @property
+    def draws(self) -> Draw | None:
+        """What draws a problem for each mission; None where all missions are of one."""
+        return SETS.get(self.problem) if isinstance(self.problem, str) else None
+
     @cached_property
     def searched(self) -> Problem:
-        """The problem, with the budget and the world that override its own."""
+        """The problem, with the budget and the world that override its own.
+
+        Raises ValueError if it is a set of problems.
+        """
+        if self.draws:
+            raise ValueError(f"problem {self.problem!r} is a set of problems; wanted one")
         return names.with_arguments(self.problem, budget=self.budget, world=self.world)
 
     @cached_property
     def criterion(self) -> Criterion:
-        """When AGDC stops."""
-        return chosen(float(self.threshold_m), self.stop, self.searched.stop)
+        """When AGDC stops; of a set of problems, unless each problem says so."""
+        return chosen(float(self.threshold_m), self.stop, None if self.draws else self.searched.stop)
 
     @property
     def move(self) -> Move:
-        """The meaning of actions."""
-        step_m = float(self.searched.step_m)
+        """The meaning of actions. An observation for any problem has a move as the unit of its frame."""
+        step_m = 1.0 if SCHEMAS[self.observation].anywhere else float(self.searched.step_m)
         return HeadingAndStep(step_m) if self.continuous else Headings(self.headings, step_m)
 
     def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
@@ -136,8 +159,15 @@ class Settings:
 
     def begin(self, seeds: Sequence[int], threads: int = 1) -> Missions:
         """Return new missions of these seeds."""
+        each = self.draws and self.threshold_m == USUAL_THRESHOLD_M and self.stop is None
         return Missions(
-            seeds, self.observation, self.particles, self.criterion, self.assume, threads, self.searched
+            seeds,
+            self.observation,
+            self.particles,
+            None if each else self.criterion,
+            self.assume,
+            threads,
+            self.draws or self.searched,
         )
 
     def onlooker(self, render_mode: str | None) -> Onlooker | None:
@@ -185,17 +215,16 @@ class Settings:
 
         Returns rewards, terminated and truncated, (B,) each.
         """
-        ground = self.searched.ground
-        waypoints = self.move.waypoints(missions.positions, missions.frames, actions, ground)
-        if ground.obstacles:
-            reach = Reach(area=ground)
-            ways = zip(missions.positions.tolist(), waypoints.tolist(), strict=True)
-            waypoints = np.array([reach.freed((x, y), (east, north)) for (x, y), (east, north) in ways])
-        missions.move(waypoints)
+        waypoints = self.move.waypoints(missions.positions, missions.frames, actions, missions.grounds)
+        for mission, ground in missions.grounds.fenced.items():
+            (x, y), (east, north) = missions.positions[mission].tolist(), waypoints[mission].tolist()
+            waypoints[mission] = Reach(area=ground).freed((x, y), (east, north))
         step, stop = REWARDS[self.reward]
+        steps = step * missions.shares_of(WAY) if self.reward == "way" else np.full(len(waypoints), step)
+        missions.move(waypoints)
         terminated: Flags = missions.ceased.copy()
-        truncated: Flags = ~terminated & (missions.steps >= self.searched.budget)
-        return np.where(terminated, step + stop, step), terminated, truncated
+        truncated: Flags = ~terminated & (missions.steps >= missions.budgets)
+        return np.where(terminated, steps + stop, steps), terminated, truncated
 
 
 def _whole(name: str, value: Any, least: int, most: float = math.inf) -> int:
@@ -278,12 +307,16 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
     With `observation="paper"` it is `Box(-10, 10, (5,), float32)`, in the world's frame: position (x, y),
     gas and estimate (x, y).
 
+    With `observation="polar-2"` it is `Box(-10, 10, (210,), float32)`: the belief without units and without
+    a prior of its own, for any problem.
+
     ## Rewards
 
     | `reward` | each step | at the stop, added |
     |---|---|---|
     | `"cost"`, the default | −0.01 | 1 |
     | `"paper"` | 0 | 1 |
+    | `"way"` | −0.01 for a thirtieth of the area's side that the move is long | 1 |
 
     A stop is rewarded whether it is right or wrong.
 
@@ -310,11 +343,11 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
 
     | argument | default | meaning |
     |---|---|---|
-    | `problem` | `"paper"` | what is searched: a `plumeward.Problem`, its fields, `"paper"` or a YAML file |
+    | `problem` | `"paper"` | a `plumeward.Problem`, its fields, `"paper"`, a YAML file or `"anywhere"` |
     | `continuous` | False | an action is a heading and a step |
     | `headings` | 16 | number of headings of discrete actions |
-    | `observation` | `"polar"` | or `"paper"` |
-    | `reward` | `"cost"` | or `"paper"` |
+    | `observation` | `"polar"` | `"polar-2"` or `"paper"` |
+    | `reward` | `"cost"` | `"way"` or `"paper"` |
     | `particles` | 500 | particles of the filter |
     | `threshold_m` | 0.5 | ζ, m |
     | `budget` | None | most steps; None, also of the next one: the problem's |
@@ -417,7 +450,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self.single_observation_space, self.single_action_space = self.settings.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._threads = threads
+        self.threads = threads
         self._draws: list[np.random.Generator] = []
         self.missions: Missions | None = None
 
@@ -445,9 +478,9 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 raise ValueError(f"{len(seeds)} seeds for {self.num_envs} missions")
             self._draws = [np.random.default_rng(each) for each in seeds]
         if self.missions is None:
-            self.missions = self.searching.begin(seeds, self._threads)
+            self.missions = self.searching.begin(seeds, self.threads)
         else:
-            self.missions.problem = self.searching.searched
+            self.missions.draws = self.searching.draws or self.searching.searched
             self.missions.begin(np.arange(self.num_envs), seeds)
         if self.onlooker:
             self.onlooker.look(self.missions)

@@ -3,22 +3,44 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from agent import facts as of
 from agent import observation
+from agent.learn.problems import Draw
 from estimator.batch import Batch
-from estimator.criterion import Criterion
+from estimator.criterion import Criterion, parse
 from estimator.filter import Config
 from plume.elementary import Array, Indices
 from plume.flight import TRY_AGAIN_S, profile
-from plume.problem import PAPER, Problem
+from plume.problem import PAPER, Area, Problem
 from plume.randomness import Keyed, derived_seed
 from plume.scenario import SUCCESS_RADIUS_M, SURE_OUTSIDE, draw
 from plume.worlds.world import World, readings_of
 from scene.scene import Measurement, Scatter
 
 # Facts that are means if they are unknown.
-UNKNOWN_FACTS = {"q": observation.RATE, "d": observation.DIFFUSIVITY, "tau": observation.LIFETIME}
+UNKNOWN_FACTS = {"q": of.RATE, "d": of.DIFFUSIVITY, "tau": of.LIFETIME}
+
+
+class Grounds:
+    """The areas of missions side by side: places are clipped, each to its own, as the wire carries it."""
+
+    def __init__(self, count: int) -> None:
+        self._lows, self._highs = np.empty((count, 2)), np.empty((count, 2))
+        self.fenced: dict[int, Area] = {}  # missions that have something in the way, and their areas
+
+    def put(self, mission: int, ground: Area) -> None:
+        """Set a mission's area."""
+        wire = ground.on_the_wire()
+        self._lows[mission], self._highs[mission] = wire.low, wire.high
+        self.fenced.pop(mission, None)
+        if ground.obstacles:
+            self.fenced[mission] = ground
+
+    def clipped(self, places: ArrayLike) -> Array:
+        """Return the places inside that are nearest to these, (B, 2) m, one for each mission."""
+        return np.clip(places, self._lows, self._highs)
 
 
 class Missions:
@@ -29,12 +51,16 @@ class Missions:
         seeds: Sequence[int],
         schema: str,
         particles: int,
-        criterion: Criterion,
+        criterion: Criterion | None,
         assume: str = "paper",
         threads: int = 1,
-        problem: Problem = PAPER,
+        problem: Problem | Draw = PAPER,
     ) -> None:
-        """Begin the problem's mission of each seed and take its first reading."""
+        """Begin the problem's mission of each seed and take its first reading.
+
+        criterion: when AGDC stops; None: as each problem says.  problem: that of all missions, or a function
+        that draws it by the seed.
+        """
         count = len(seeds)
         self._schema = observation.SCHEMAS[schema]
         self._particles, self._criterion, self._assume = particles, criterion, assume
@@ -48,12 +74,18 @@ class Missions:
         self.ceased = np.zeros(count, np.bool_)
         self.frames = np.empty((count, 3))  # of the observations, in which actions are given
         self.observations = np.empty((count, self._schema.size), np.float32)
-        self.facts = np.empty((count, len(observation.FACTS)))  # what is known of each mission
+        self.facts = np.empty((count, len(of.FACTS)))  # what is known of each mission
         self._sources = np.empty((2, count, 2))  # the second is the first where there is none
         self._noise = Keyed()
-        self.problem = problem
+        self.draws = problem
+        self.problems = [self._problem(seed) for seed in self.seeds.tolist()]
+        self.grounds = Grounds(count)
+        self.sites = np.empty((count, of.SITE))
+        self.budgets = np.empty(count, np.int64)
+        self._criteria = [Criterion()] * count
+        self._thresholds_m = np.empty(count)
         # For judging and showing only.
-        self.worlds = [self._world(seed) for seed in self.seeds.tolist()]
+        self.worlds = [self._world(*pair) for pair in zip(self.seeds.tolist(), self.problems, strict=True)]
         self._loses = any(world.errors.lost for world in self.worlds)
         self._batch = Batch([self._told(mission) for mission in range(count)], threads)
         self.estimates = self._batch.means[:, :2]  # (B, 2) m, which changes with the batch
@@ -63,12 +95,16 @@ class Missions:
         """Replace these missions by missions of other seeds."""
         self.seeds[missions] = seeds
         for mission, seed in zip(missions.tolist(), seeds, strict=True):
-            self.worlds[mission] = self._world(seed)
+            self.problems[mission] = self._problem(seed)
+            self.worlds[mission] = self._world(seed, self.problems[mission])
             self._batch.begin(mission, self._told(mission))
         self._read(missions)
 
-    def _world(self, seed: int) -> World:
-        return World(draw(seed, self.problem), seed, name=self.problem.world, problem=self.problem)
+    def _problem(self, seed: int) -> Problem:
+        return self.draws if isinstance(self.draws, Problem) else self.draws(seed)
+
+    def _world(self, seed: int, problem: Problem) -> World:
+        return World(draw(seed, problem), seed, name=problem.world, problem=problem)
 
     def move(self, waypoints: Array) -> None:
         """Fly each mission to its waypoint and take a reading there.
@@ -86,6 +122,15 @@ class Missions:
         self.positions[:] = waypoints
         self._read(np.arange(len(self.steps)))
 
+    def shares_of(self, part: float) -> Array:
+        """Return how long the next move is, as a multiple of this part of its area's side: (B,).
+
+        It is the observation's, whether or not an edge cuts it off.
+        """
+        lengths_m = np.sqrt(np.square(self.frames[:, :2]).sum(axis=1))
+        sides_m = np.array([problem.area.side_m for problem in self.problems])
+        return np.asarray(lengths_m / (part * sides_m))
+
     @property
     def located(self) -> NDArray[np.bool_]:
         """Whether the estimate is within the success radius, and not said to be outside; for judging only."""
@@ -101,7 +146,7 @@ class Missions:
         step, (x, y) = int(self.steps[mission]), self.positions[mission].tolist()
         east, north = self.estimates[mission].tolist()
         (xx, xy), (_, yy) = self._batch.covariances[mission, :2, :2].tolist()
-        gas, spread_m = float(self.facts[mission, observation.GAS]), float(self.spreads_m[mission])
+        gas, spread_m = float(self.facts[mission, of.GAS]), float(self.spreads_m[mission])
         return Measurement(
             step,
             float(step),
@@ -130,23 +175,27 @@ class Missions:
         self.positions[mission] = world.start
         self._sources[:, mission] = world.truth.source, world.truth.second or world.truth.source
         known = (scenario.q, scenario.d, scenario.tau)
-        self.facts[mission, observation.RATE : observation.LIFETIME + 1] = known
-        criterion, its_seed = self._criterion, derived_seed(seed, "estimator")
+        self.facts[mission, of.RATE : of.LIFETIME + 1] = known
+        problem, its_seed = self.problems[mission], derived_seed(seed, "estimator")
+        criterion = self._criterion or parse(problem.stop)
+        self._criteria[mission], self._thresholds_m[mission] = criterion, criterion.threshold_m
+        self.grounds.put(mission, problem.ground)
+        self.sites[mission], self.budgets[mission] = of.site_of(problem), problem.budget
         return Config(
             self._particles,
             criterion.threshold_m,
             its_seed,
             *known,
-            self.problem.ground,
+            problem.ground,
             assume=self._assume,
             within=criterion.within,
-            expected=self.problem.support,
+            expected=problem.support,
         )
 
     def _read(self, missions: Indices) -> None:
         """Take a reading in each of these missions; update beliefs, observations and stops."""
         facts = self.facts
-        facts[missions, : observation.GAS] = self.positions[missions]
+        facts[missions, : of.GAS] = self.positions[missions]
         gas, winds = readings_of(
             [self.worlds[mission] for mission in missions.tolist()],
             self.positions[missions],
@@ -154,36 +203,38 @@ class Missions:
             self.times_s[missions],
             self._noise,
         )
-        facts[missions, observation.GAS] = gas
-        facts[missions, observation.WIND_X : observation.RATE] = winds
+        facts[missions, of.GAS] = gas
+        facts[missions, of.WIND_X : of.RATE] = winds
         readings = np.zeros((len(missions), 7))
         readings[:, :2] = self.positions[missions]
-        readings[:, 3:5] = facts[missions, observation.WIND_X : observation.RATE]
-        readings[:, 5] = facts[missions, observation.GAS]
+        readings[:, 3:5] = facts[missions, of.WIND_X : of.RATE]
+        readings[:, 5] = facts[missions, of.GAS]
         readings[:, 6] = 1.0
         self._batch.assimilate(readings, missions)
         covariances = self._batch.covariances[missions, :2, :2]
-        facts[missions, observation.MEAN_X : observation.XX] = self._batch.means[missions, :2]
+        facts[missions, of.MEAN_X : of.XX] = self._batch.means[missions, :2]
         for row, name in enumerate(self._batch.unknowns):
             if name in UNKNOWN_FACTS:
                 facts[missions, UNKNOWN_FACTS[name]] = self._batch.means[missions, row]
-        facts[missions, observation.XX : observation.WIND_X] = covariances.reshape(-1, 4)[:, [0, 1, 3]]
+        facts[missions, of.XX : of.WIND_X] = covariances.reshape(-1, 4)[:, [0, 1, 3]]
         self.spreads_m[missions] = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
         self.ceased[missions] = False
         self.outside[missions] = [self._batch.share_outside(mission) for mission in missions.tolist()]
-        narrow = self.spreads_m[missions] < self._criterion.threshold_m
+        narrow = self.spreads_m[missions] < self._thresholds_m[missions]
         near = narrow | (self.outside[missions] >= SURE_OUTSIDE)
-        for mission in missions[near | bool(self._criterion.within)].tolist():
+        near |= [bool(self._criteria[mission].within) for mission in missions.tolist()]
+        for mission in missions[near].tolist():
             self.ceased[mission] = self._batch.has_ceased(mission)
-        totals, site = self._batch.weights.sum(axis=1), observation.site_of(self.problem)
+        totals, rows = self._batch.weights.sum(axis=1), observation.rows_of(self._batch.unknowns)
 
         def see(portion: Indices) -> None:
             self._schema.see_missions(
                 self._batch.particles,
                 self._batch.weights,
                 totals,
+                rows,
                 facts,
-                site,
+                self.sites,
                 portion,
                 self.frames,
                 self.observations,

@@ -64,7 +64,7 @@ class Onlooker:
         release = Release.of(world.truth)
         track = np.array([it.position for it in taken], np.float32)
         return Scene(
-            backdrop=Backdrop("uav/1", missions.problem.area, f"seed {world.seed}", release),
+            backdrop=Backdrop("uav/1", missions.problems[i].area, f"seed {world.seed}", release),
             time_s=last.time_s,
             craft=Craft(last.time_s, last.position, heading=_heading(track)),
             track=track,
@@ -73,7 +73,7 @@ class Onlooker:
             wind=world.wind,
             stop=self._stop,
             assume=self._assume,
-            ending=self._ending(last, float(missions.outside[i]), release, missions.problem),
+            ending=self._ending(last, float(missions.outside[i]), release, missions.problems[i]),
         )
 
     def _ending(

@@ -1,13 +1,13 @@
 """Parallel missions as a stable-baselines3 VecEnv."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from agent.learn.env import SourceSearchVector
+from agent.learn.env import Settings, SourceSearchVector
 
 
 class StableBaselinesEnv(VecEnv):
@@ -17,6 +17,11 @@ class StableBaselinesEnv(VecEnv):
         self.vector = vector
         self._actions: NDArray[Any] = np.empty(0)
         super().__init__(vector.num_envs, vector.single_observation_space, vector.single_action_space)
+
+    def fly(self, settings: Mapping[str, Any]) -> None:
+        """Fly missions of other settings from the next reset on; observations and actions stay the same."""
+        if Settings.of(settings) != self.vector.settings:
+            self.vector = SourceSearchVector(self.num_envs, self.vector.threads, **settings)
 
     def reset(self) -> NDArray[np.float32]:
         """Begin new missions. Raises ValueError if options have been set: there are none."""

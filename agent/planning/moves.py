@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from link.bus.messages import Belief
 from plume.elementary import Array, direction
@@ -132,6 +133,13 @@ def ways_from(position: tuple[float, float], places: Array) -> Array:
     return np.stack(np.broadcast_arrays(np.asarray(position, np.float64), places), axis=-2)
 
 
+class Clips(Protocol):
+    """An area, or the areas of places side by side."""
+
+    def clipped(self, places: ArrayLike) -> Array:
+        """Return the places inside that are nearest to these (..., 2) m: (..., 2)."""
+
+
 class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", forbid_unknown_fields=True):
     """Discrete actions: a step in one of `count` evenly spaced directions of the observation's frame.
 
@@ -150,7 +158,7 @@ class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", fo
         """Return the action with the highest score (B,), given the network's output `said` (B, count)."""
         return np.asarray(said.argmax(axis=1))
 
-    def waypoints(self, positions: Array, frames: Array, actions: Array, area: Area) -> Array:
+    def waypoints(self, positions: Array, frames: Array, actions: Array, area: Clips) -> Array:
         """Return the waypoints (B, 2) m of actions (B,) from positions (B, 2) m. frames: (B, 3)."""
         return _moved(positions, frames, actions / self.count, np.full(len(actions), self.step_m), area)
 
@@ -174,7 +182,7 @@ class HeadingAndStep(
         """Return the network's output `said` (B, 2): it is the action."""
         return said
 
-    def waypoints(self, positions: Array, frames: Array, actions: Array, area: Area) -> Array:
+    def waypoints(self, positions: Array, frames: Array, actions: Array, area: Clips) -> Array:
         """Return the waypoints (B, 2) m of actions (B, 2), clipped to [−1, 1], from positions (B, 2) m.
 
         frames: (B, 3).
@@ -186,7 +194,7 @@ class HeadingAndStep(
 Move = Headings | HeadingAndStep
 
 
-def _moved(positions: Array, frames: Array, turns: Array, lengths: Array, area: Area) -> Array:
+def _moved(positions: Array, frames: Array, turns: Array, lengths: Array, area: Clips) -> Array:
     """Return the waypoints (B, 2) of moves at angles in turns, clipped to the area; float32 values."""
     from agent.planning.kernels import displacements  # compiled: naming a policy does not need it
 

@@ -169,6 +169,7 @@ def test_an_observation_has_the_size_that_its_schema_says() -> None:
     assert {name: (schema.version, schema.size) for name, schema in SCHEMAS.items()} == {
         "paper": (1, 5),
         "polar": (1, 184),
+        "polar-2": (2, 210),
     }
     for schema in SCHEMAS.values():
         seen, frame = schema.see(belief_at(), scattered(0))
@@ -416,7 +417,10 @@ def test_x_and_y_are_found_among_other_unknowns_by_name(name: str) -> None:
     other = np.random.default_rng(2).uniform(100, 500, (2, len(cloud))).astype(np.float32)
     more = np.column_stack([cloud[:, 0], cloud[:, 1], *other, cloud[:, 2]])
     named = msgspec.structs.replace(
-        said, unknowns=("x", "y", "q", "tau"), means=(15.0, 15.0, 270.0, 10.0), stds=(1.0, 1.0, 9.0, 1.0)
+        said,
+        unknowns=("x", "y", "gain", "puff-rate"),
+        means=(15.0, 15.0, 1.0, 10.0),
+        stds=(1.0, 1.0, 0.1, 1.0),
     )
     assert SCHEMAS[name].see(named, more)[0].tobytes() == plain.tobytes()
 

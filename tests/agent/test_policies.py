@@ -24,6 +24,7 @@ from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
 from agent.policies import SHIPPED, PolicyError, choose, named, policy, reach
 from agent.trials.rollout import mission, rollout
 from link.bus.messages import Belief, Particles
+from plume.problem import Area, Problem
 from tests.agent.test_bundle import a_bundle
 
 ROOT = Path(__file__).parents[2]
@@ -147,6 +148,30 @@ def test_only_planners_take_flags_that_say_how_to_move(tmp_path: Path, plug: Plu
     assert reach("theirs", {"headings": 8, "step": 0.5}) == Reach(
         headings=8, step=0.5
     )  # the policy may use them or not
+
+
+FIELD = Problem(area=Area((-100.0, 0.0), (200.0, 100.0)), step_m=5.0, prior=Area((0.0, 0.0), (50.0, 50.0)))
+
+
+def test_a_learned_policy_that_knows_no_problem_flies_in_any_with_any_step(tmp_path: Path) -> None:
+    a_bundle(tmp_path / "a.zip", "polar-2", Headings(16))
+    bundle = str(tmp_path / "a.zip")
+    assert reach(bundle, problem=FIELD) == Reach(step=5.0, area=FIELD.area)
+    assert reach(bundle, {"step": 2.0}, FIELD) == Reach(step=2.0, area=FIELD.area)
+    with pytest.raises(ValueError, match=r"^--headings is for planners; .*a.zip moves as it was trained to$"):
+        reach(bundle, {"headings": 8, "step": 0.5})
+    outcome, trace = rollout(1, bundle, particles=100, budget=5, problem=FIELD)
+    assert all(FIELD.area.holds(point.position) for point in trace)
+    assert outcome.distance_m > 0
+
+
+def test_a_learned_policy_of_one_problem_refuses_that_in_one_line(tmp_path: Path) -> None:
+    a_bundle(tmp_path / "a.zip", "polar", Headings(16))
+    with pytest.raises(
+        ValueError, match="is not allowed with a learned policy; it was trained in"
+    ) as refused:
+        reach(str(tmp_path / "a.zip"), problem=FIELD)
+    assert len(str(refused.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from agent.learn.env import Settings
 from agent.trials.evaluate import FIRST_TEST_SEED, named, print_table
 from agent.trials.sweep import Sweep, flown, journal_of, on_cores
 from estimator.criterion import USUAL_THRESHOLD_M
+from plume.problem import PAPER
 
 
 def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
@@ -21,7 +22,7 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
     A bundle that has figures keeps them.
 
     The estimator assumes what it assumed in training, and stops by the same `stop` if the recipe has one,
-    else by the usual spread.
+    else by the usual spread. What was trained on a set of problems flies `paper`.
 
     A journal beside the bundle keeps each flight until all have ended, so an interrupted call can resume.
     """
@@ -37,7 +38,7 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
         particles,
         (stop,),
         knowledge={"assume": settings.assume},
-        problem=settings.searched,
+        problem=PAPER if settings.draws else settings.searched,
     )
     journal = journal_of(sweep, bundle.parent)
     workers = os.cpu_count() or 1

@@ -129,9 +129,10 @@ class Legs(BaseCallback):
         torch.manual_seed(key)
         model = self.model
         model.action_space.seed(key % 2**32)
-        assert model.env is not None
+        assert isinstance(model.env, StableBaselinesEnv)
+        model.env.fly(self._recipe.env_at(self.num_timesteps))
         model.env.seed(key % (TRAINING_SEEDS - model.n_envs))
-        model._last_obs = model.env.reset()  # type: ignore[assignment]
+        model._last_obs = model.env.reset()
         model._last_episode_starts = np.ones(model.n_envs, dtype=bool)
         if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None and model.num_timesteps:
             # Returns over several moves must not continue from the missions that the checkpoint broke off
@@ -220,7 +221,7 @@ def train(
     """
     # More threads would change the last bits, and idle ones would take cores from the missions.
     torch.set_num_threads(1)
-    env = StableBaselinesEnv(SourceSearchVector(recipe.missions, threads, **recipe.env))
+    env = StableBaselinesEnv(SourceSearchVector(recipe.missions, threads, **recipe.env_at(0)))
     model, state = learner(recipe, env, seed % 2**32), RunState()
     if kept := checkpoints(folder):
         model, state = _resumed(model, env, kept[-1])

@@ -22,6 +22,12 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True):
     action_noise: float = 0.0  # DDPG's exploration noise: standard deviation, for actions in [−1, 1]
     actor_learning_rate_share: float = 1.0  # DDPG's actor learns at this share of the critic's rate
     checkpoint_steps: int = 100_000  # moves between two checkpoints; at each one all missions begin anew
+    first: dict[str, Any] = {}  # settings of env that differ in the first part of the run
+    first_share: float = 0.0  # the first part, as a share of the steps; it ends at a checkpoint
+
+    def env_at(self, steps: int) -> dict[str, Any]:
+        """Return the settings of the environment after so many moves."""
+        return self.env | (self.first if steps < self.first_share * self.steps else {})
 
     @property
     def moves_at_a_time(self) -> int:
@@ -38,6 +44,14 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True):
 PAPER_LAYERS = (128, 128, 128)
 PAPER_ENV = {"observation": "paper", "reward": "paper", "headings": 4}
 TUNED_ENV = {"observation": "polar", "reward": "cost", "headings": 16}
+ANYWHERE_ENV = {
+    "observation": "polar-2",
+    "reward": "way",
+    "headings": 16,
+    "problem": "anywhere",
+    "assume": "field",
+    "particles": 100,
+}
 
 # The paper's settings; where it states none, those of stable-baselines3.
 PAPER = {
@@ -144,4 +158,28 @@ TUNED = {
     ),
 }
 
-PRESETS: Mapping[str, Mapping[str, Recipe]] = {"tuned": TUNED, "paper": PAPER}
+# For any area, step and prior: a problem is drawn for each mission (`agent.learn.problems`). Updates under
+# `field` take ten times as long as under `paper`, so most is learned under `paper` first.
+ANYWHERE = {
+    "ppo": Recipe(
+        algorithm="ppo",
+        steps=1_500_000,
+        missions=128,
+        env=ANYWHERE_ENV,
+        first={"assume": "paper", "particles": 200},
+        first_share=0.45,
+        layers=(256, 256),
+        learning_rate=5e-4,
+        final_learning_rate=1e-5,
+        settings={
+            "n_steps": 64,
+            "batch_size": 2048,
+            "n_epochs": 4,
+            "gamma": 0.995,
+            "gae_lambda": 0.95,
+            "ent_coef": 0.003,
+        },
+    ),
+}
+
+PRESETS: Mapping[str, Mapping[str, Recipe]] = {"tuned": TUNED, "paper": PAPER, "anywhere": ANYWHERE}

@@ -22,13 +22,18 @@ from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 import agent.together
 import agent.trials.rollout
 import plumeward  # noqa: F401  registers the environments
+from agent.bundle import load
 from agent.learn.env import TRAINING_SEEDS, SourceSearch, SourceSearchVector
+from agent.learn.problems import anywhere
 from agent.observation import BOUND, SCHEMAS
+from agent.planning.moves import Headings
+from agent.trials.rollout import rollout
 from link.bus.messages import Belief, Particles
 from plume.problem import AREA, Area, Problem
 from plume.scenario import AREA_M, draw
 from plume.worlds.names import OURS
 from plume.worlds.world import World
+from tests.agent.test_bundle import a_bundle
 
 DISCRETE, CONTINUOUS = IDS = ("plumeward/SourceSearch-v0", "plumeward/SourceSearchContinuous-v0")
 DOCUMENT = Path(__file__).parents[3] / "docs" / "environment.md"
@@ -84,7 +89,7 @@ def test_gymnasiums_wrappers_find_nothing_in_whole_missions(name: str) -> None:
                 over = terminated or truncated
 
 
-@pytest.mark.parametrize(("observation", "size"), [("paper", 5), ("polar", 184)])
+@pytest.mark.parametrize(("observation", "size"), [("paper", 5), ("polar", 184), ("polar-2", 210)])
 def test_spaces_are_what_the_settings_say(observation: str, size: int) -> None:
     env, several = (
         make(observation=observation),
@@ -126,6 +131,64 @@ def test_a_stop_pays_and_a_step_may_cost(reward: str, each: float, last: float) 
     assert len(said) > 5
     assert [step[0] for step in said] == pytest.approx([each] * (len(said) - 1) + [last])
     assert said[-1][1]
+
+
+def test_a_short_move_costs_less_by_its_way() -> None:
+    for step_m, cost in ((1.0, 0.01), (0.25, 0.0025)):
+        env = make(reward="way", observation="polar-2", problem={"step_m": step_m}, budget=3)
+        env.reset(seed=0)
+        assert [env.step(0)[1] for _ in range(3)] == pytest.approx([-cost] * 3)
+    env.reset(seed=0)
+    for _ in range(
+        100
+    ):  # an edge that cuts a move off makes it no cheaper: there is nothing to be had by waiting
+        assert env.step(8)[1] == pytest.approx(-0.0025)
+
+
+def test_a_set_of_problems_has_another_one_for_each_seed() -> None:
+    settings: dict[str, Any] = {**QUICK, "observation": "polar-2", "problem": "anywhere"}
+    several = SourceSearchVector(3, **settings)
+    several.reset(seed=5)
+    assert several.missions is not None
+    assert several.missions.problems == [anywhere(seed) for seed in (5, 6, 7)]
+    env = make(observation="polar-2")
+    env.reset(seed=6, options={"problem": "anywhere"})
+    assert env.missions.problems == [anywhere(6)]
+    env.reset(seed=6)
+    assert env.missions.problems == [Problem()]
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({}, "problem 'anywhere' is not allowed with the observation 'polar'; wanted polar-2"),
+        ({"observation": "polar-2", "budget": 5}, "budget is not allowed with problem 'anywhere'"),
+        ({"observation": "polar-2", "world": "puffs"}, "world is not allowed with problem 'anywhere'"),
+        (
+            {"observation": "polar-2", "render_mode": "rgb_array"},
+            "'anywhere' is a set of problems; wanted one",
+        ),
+    ],
+)
+def test_what_a_set_of_problems_does_not_allow_is_said(settings: dict[str, Any], line: str) -> None:
+    with pytest.raises(ValueError, match=line):
+        SourceSearch(problem="anywhere", **settings)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_policy_flies_a_drawn_problem_as_it_does_on_a_vehicle(tmp_path: Path, seed: int) -> None:
+    a_bundle(tmp_path / "a.zip", "polar-2", Headings(16), seed=seed)
+    problem, bundle = anywhere(seed), load(tmp_path / "a.zip")
+    _, trace = rollout(
+        seed, str(tmp_path / "a.zip"), particles=60, budget=15, assume="field", problem=problem
+    )
+    env = make(observation="polar-2", problem="anywhere", particles=60, assume="field", threshold_m=0.5)
+    seen, told = env.reset(seed=seed)
+    places = [tuple(told["position"].tolist())]
+    for _ in range(15):
+        seen, _, _, _, told = env.step(int(bundle.page.move.action(bundle.said(seen))[0]))
+        places.append(tuple(told["position"].tolist()))
+    assert places == [point.position for point in trace]
 
 
 @pytest.mark.parametrize(("reward", "each"), [("paper", 0.0), ("cost", -0.01)])
@@ -419,8 +482,8 @@ def test_gymnasiums_wrappers_of_many_count_missions_right() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"observation": "pixels"}, "observation 'pixels' is not allowed; wanted paper or polar"),
-        ({"reward": "more"}, "reward 'more' is not allowed; wanted paper or cost"),
+        ({"observation": "pixels"}, "observation 'pixels' is not allowed; wanted paper or polar or polar-2"),
+        ({"reward": "more"}, "reward 'more' is not allowed; wanted paper or cost or way"),
         ({"world": "windy"}, f"world: no world 'windy'; wanted {', '.join(OURS)}"),
         ({"headings": 1}, "headings 1 is not allowed; wanted a whole number from 2"),
         ({"headings": 7.5}, "headings 7.5 is not allowed; wanted a whole number from 2"),
@@ -444,7 +507,10 @@ def test_gymnasiums_wrappers_of_many_count_missions_right() -> None:
             {"stop": "spread:1", "threshold_m": 0.3},
             "stop 'spread:1' is not allowed with threshold_m 0.3; wanted one of them",
         ),
-        ({"observation": ["polar"]}, "observation ['polar'] is not allowed; wanted paper or polar"),
+        (
+            {"observation": ["polar"]},
+            "observation ['polar'] is not allowed; wanted paper or polar or polar-2",
+        ),
         ({"budget": True}, "budget True is not allowed; wanted a whole number from 1"),
         ({"continuous": "no"}, "continuous 'no' is not allowed; wanted True or False"),
     ],

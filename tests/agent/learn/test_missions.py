@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 import plume.worlds.air
+from agent.facts import DIFFUSIVITY, FACTS, GAS, LIFETIME, RATE, X
 from agent.learn.missions import Missions
-from agent.observation import DIFFUSIVITY, FACTS, GAS, LIFETIME, RATE, SCHEMAS, X
+from agent.learn.problems import anywhere
+from agent.observation import SCHEMAS
 from agent.planning.moves import Headings
 from agent.trials.rollout import mission
 from estimator.belief import belief
-from estimator.criterion import Criterion
+from estimator.criterion import Criterion, parse
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
 from plume.problem import ALTITUDE_M, AREA
@@ -194,6 +196,24 @@ def test_with_another_assumption_or_criterion_too(
         assert ceased == {True, False}
     for fact, name in ((RATE, "rate"), (LIFETIME, "lifetime"), (DIFFUSIVITY, "diffusivity")):
         assert missions.facts[:, fact].tolist() == [getattr(single.belief, name) for single in singles]
+
+
+def test_missions_of_drawn_problems_are_each_as_alone() -> None:
+    seeds = [3, 4, 5, 6]
+    among = Missions(seeds, "polar-2", 60, None, "field", threads=2, problem=anywhere)
+    singles = [
+        Missions([seed], "polar-2", 60, parse(anywhere(seed).stop), "field", problem=anywhere(seed))
+        for seed in seeds
+    ]
+    for missions in (among, *singles):
+        for _ in range(10):
+            actions = [action_of(*pair) for pair in zip(missions.seeds, missions.steps, strict=True)]
+            missions.move(
+                MOVE.waypoints(missions.positions, missions.frames, np.array(actions), missions.grounds)
+            )
+    for i, single in enumerate(singles):
+        assert told(among, i) == told(single, 0)
+        assert among.budgets[i] == anywhere(seeds[i]).budget
 
 
 def test_the_way_flown_is_summed_and_begins_anew_with_another_mission() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agent.bundle import Bundle, read
-from agent.learn.train.recipes import TUNED
+from agent.learn.train.recipes import TUNED, Recipe
 from agent.policies import SHIPPED
 from agent.trials.rollout import rollout
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_it_was_trained_by_the_committed_recipe(name: str) -> None:
     page, _ = read(SHIPPED[name])
-    assert page.training == msgspec.json.decode(msgspec.json.encode(TUNED[name]))
+    assert msgspec.convert(page.training, Recipe) == TUNED[name]
     assert (page.algorithm, page.seed) == (name, 0)
     assert page.curve[-1].steps >= TUNED[name].steps
 

@@ -21,6 +21,7 @@ from agent.learn.train.folder import checkpoints, claim
 from agent.learn.train.recipes import PRESETS, TUNED, Recipe
 from agent.observation import SCHEMAS
 from agent.planning.moves import HeadingAndStep, Headings
+from plume.problem import Problem
 from plume.randomness import MAX_SEED
 
 pytestmark = pytest.mark.slow
@@ -176,6 +177,52 @@ def test_a_run_that_is_cut_off_comes_to_the_same_end(
     assert resumed.bundle == whole(algorithm).bundle
 
 
+IN_TWO_PARTS: dict[str, Any] = {
+    "first": {"assume": "paper", "particles": 40},
+    "first_share": 0.5,
+    "env": {
+        "observation": "polar-2",
+        "reward": "way",
+        "headings": 16,
+        "problem": "anywhere",
+        "assume": "field",
+        "particles": 20,
+    },
+}
+
+
+def test_a_run_over_a_set_of_problems_in_two_parts_comes_to_the_same_end_if_cut_off(tmp_path: Path) -> None:
+    from agent.learn.sb3 import StableBaselinesEnv
+
+    flown = []
+    recipe = msgspec.structs.replace(tiny("ppo"), **IN_TWO_PARTS)
+    with pytest.MonkeyPatch.context() as patch:
+        begun = StableBaselinesEnv.fly
+        patch.setattr(StableBaselinesEnv, "fly", lambda *its: (flown.append(its[1]["assume"]), begun(*its)))
+        whole = learn(tmp_path / "whole", recipe)
+    assert flown == ["paper", "paper", "field", "field"]
+    for place in (160, 320):
+        with pytest.raises(CutOff):
+            learn(tmp_path / "run", recipe, tell=cut_at(place))
+    assert learn(tmp_path / "run", recipe, threads=2).bundle == whole.bundle
+    assert load(tmp_path / "run" / "policy.zip").page.move == Headings(16, 1.0)
+
+
+def test_what_a_user_says_of_the_recipe_holds_for_all_of_it() -> None:
+    from agent.learn.train.command import with_changes
+
+    recipe = PRESETS["anywhere"]["ppo"]
+    assert with_changes(recipe, None, None, None) == recipe
+    assert with_changes(TUNED["ppo"], "paper", None, Problem()) == TUNED["ppo"]
+    paper = with_changes(recipe, "paper", None, None)
+    assert {paper.env_at(steps)["assume"] for steps in (0, recipe.steps - 1)} == {"paper"}
+    assert paper.env_at(0)["particles"] == 200
+    wide = with_changes(recipe, None, None, Problem(step_m=2.0))
+    assert wide.env_at(0)["problem"] == '{"step_m":2.0}'
+    alone = with_changes(recipe, None, None, Problem())
+    assert alone.env_at(0)["problem"] == "paper"
+
+
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_the_bundle_says_what_the_learner_says(whole: Callable[[str], Trained], algorithm: str) -> None:
     trained = whole(algorithm)
@@ -260,8 +307,9 @@ def test_the_curve_sums_up_the_missions_that_ended() -> None:
     assert point_of(9, ended[2:]) == CurvePoint(9, 0.0, 0.0, None)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize(
+    ("preset", "algorithm"), [(preset, name) for preset, recipes in PRESETS.items() for name in recipes]
+)
 def test_every_recipe_can_be_begun(preset: str, algorithm: str) -> None:
     from agent.learn.env import SourceSearchVector
     from agent.learn.sb3 import StableBaselinesEnv
@@ -512,6 +560,15 @@ def told(
     except SystemExit as ended:
         status = ended.code
     return status, *capsys.readouterr()
+
+
+def test_a_preset_without_a_recipe_for_the_algorithm_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    line = "error: --preset anywhere: there is no recipe of dqn; wanted ppo\n"
+    assert told(capsys, monkeypatch, "train", "dqn", "--preset", "anywhere") == (2, "", line)
+    assert not list(tmp_path.iterdir())
 
 
 def trained_by_command(

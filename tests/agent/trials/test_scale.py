@@ -1,12 +1,16 @@
 """Protects searches from units of length: a field that is larger in all its lengths is searched in the same way."""
 
+from pathlib import Path
+
 import pytest
 
 from agent.planners.registry import PLANNERS
+from agent.planning.moves import HeadingAndStep, Headings, Move
 from agent.trials.rollout import rollout
 from plume.outcome import TracePoint
 from plume.problem import Area, Problem
 from plume.scenario import DIFFUSIVITIES, RATES, WIND_SPEEDS
+from tests.agent.test_bundle import a_bundle
 
 Decision = tuple[float, float]
 
@@ -61,3 +65,14 @@ def test_so_it_is_by_homing_while_all_but_the_model_is_unknown(seed: int) -> Non
     here, there = flown("homing", 1.0, seed, "field", 8), flown("homing", 8.0, seed, "field", 8)
     assert places(there, 8.0) == places(here, 1.0)
     assert [point.spread / 8 for point in there] == pytest.approx([point.spread for point in here], rel=1e-6)
+
+
+@pytest.mark.parametrize("move", [Headings(16), HeadingAndStep()], ids=repr)
+def test_so_it_is_by_a_learned_policy_that_sees_polar_2(tmp_path: Path, move: Move) -> None:
+    """Its network is drawn by chance: whatever is learned from such an observation is flown alike."""
+    policy = str(tmp_path / "any.zip")
+    a_bundle(Path(policy), "polar-2", move, seed=4)
+    here = flown(policy, 1.0, 1, "paper", 12)
+    assert len(set(places(here, 1.0))) > 5
+    for scale in (0.5, 8.0):
+        assert places(flown(policy, scale, 1, "paper", 12), scale) == places(here, 1.0)
