@@ -116,7 +116,7 @@ INSTEAD = {
     "plumeward replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "plumeward replay flight.tlog --gas gas*1.0 --wind 2.5,270",
     "plumeward uav --out udpout:127.0.0.1:14540": "plumeward uav --out udpout:127.0.0.1:7447",
     "plumeward uav --out udpout:127.0.0.1:14540 --seed 3000950": "plumeward uav --out udpout:127.0.0.1:7447 --seed 3000950 --speedup 10",
-    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 3000950 --speedup 1 --record first.mcap": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 3000950 --speedup 10 --record first.mcap",
+    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 3000950 --speedup 1 --record px4.mcap": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 3000950 --speedup 10 --record px4.mcap",
     "plumeward fly --vehicle tcp:127.0.0.1:5760 --seed 11": "plumeward fly --vehicle tcp:127.0.0.1:1 --seed 11",
     "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 11",
     "plumeward view --connect tcp/127.0.0.1:7447": "plumeward view --connect tcp/127.0.0.1:7447 --port 0",
