@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 
+import msgspec
 import numpy as np
 
 from estimator.dwell import advised_dwell, intermittency
@@ -83,12 +84,17 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         wind_p_value=one_wind(posterior, config),
         intermittency=gas,
         advised_dwell=advised_dwell(gas, config.sensor),
-        back=way_back(posterior.readings[:, :2]) if posterior.vehicles is None else None,
+        back=_back(posterior),
     )
     particles = np.empty((posterior.particles.shape[1], len(unknown_means) + 1), np.float32, order="F")
     particles[:, :-1] = posterior.particles.T
     particles[:, -1] = posterior.weights / posterior.weights.sum()
     return summary, particles
+
+
+def _back(posterior: Posterior) -> tuple[float, float] | msgspec.UnsetType:
+    place = way_back(posterior.readings[:, :2]) if posterior.vehicles is None else None
+    return msgspec.UNSET if place is None else place
 
 
 def fit(posterior: Posterior, config: Config) -> float:

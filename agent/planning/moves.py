@@ -46,8 +46,8 @@ class Reach:
         shortest, fine = self.area.side_m * FINEST, self.area.side_m * FINE
         longest = max(belief.spread / 4, min(max(4 * belief.spread, shortest), fine))
         step = longest if belief.spread > 0 and longest < self.step else self.step
-        changes = step != self.step or belief.back is not None
-        return replace(self, step=step, avoided=belief.back) if changes else self
+        avoided = None if isinstance(belief.back, msgspec.UnsetType) else belief.back
+        return replace(self, step=step, avoided=avoided) if (step, avoided) != (self.step, None) else self
 
     @cached_property
     def wire(self) -> Area:

@@ -161,7 +161,7 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
     for step in steps:
         said = step.belief
         updates_s.append(step.update_s)
-        stalls += said.back is not None
+        stalls += said.back is not msgspec.UNSET
         if said.step:
             decisions_s.append(step.decision_s)
             for reading in step.readings:

@@ -218,8 +218,6 @@ def _access_table() -> str:
 
 
 def _type(schema: dict[str, Any]) -> str:
-    if "anyOf" in schema:
-        return " or ".join(_type(one) for one in schema["anyOf"])
     if "prefixItems" in schema:
         return "[" + ", ".join(_type(item) for item in schema["prefixItems"]) + "]"
     if "additionalProperties" in schema and schema["type"] == "object":

@@ -136,14 +136,14 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float,
         Meta(ge=0, description="how long to hover for a reading in such gas, s; 0: as long as now"),
     ] = 0.0
+    # These are not said at all where there is nothing to say.
     back: Annotated[
-        Pair | None,
+        Pair | msgspec.UnsetType,
         Meta(
             description="where a search that repeats itself would go next, (x, y) m: it has read at two "
-            "places in turn for long; null if it does not"
+            "places in turn for long; absent if it does not, and with several vehicles"
         ),
-    ] = None
-    # Not said at all where one vehicle searches alone.
+    ] = msgspec.UNSET
     readings: Annotated[
         tuple[RoundReading, ...] | msgspec.UnsetType,
         Meta(

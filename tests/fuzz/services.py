@@ -74,7 +74,13 @@ class QuietBus(Bus):
             raise _End
         return self._arrivals.pop(0)
 
-    def publish(self, key: Key, message: bytes | msgspec.Struct, attachment: bytes | None = None) -> None:
+    def publish(
+        self,
+        key: Key,
+        message: bytes | msgspec.Struct,
+        attachment: bytes | None = None,
+        vehicle: int | None = None,
+    ) -> None:
         payload = message if isinstance(message, bytes) else msgspec.json.encode(message)
         self.published.append((key, payload, attachment or b""))
 

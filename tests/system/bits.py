@@ -51,7 +51,8 @@ def fed(digest: Any, value: Any) -> None:
         case np.generic() | np.ndarray():
             digest.update(f"{value.dtype.str} {value.shape}".encode() + np.ascontiguousarray(value).tobytes())
         case msgspec.Struct():
-            fed(digest, msgspec.structs.asdict(value))
+            said = msgspec.structs.asdict(value).items()
+            fed(digest, {name: each for name, each in said if each is not msgspec.UNSET})
         case Posterior():
             fed(digest, vars(value))
         case dict():
