@@ -135,6 +135,8 @@ def test_a_schema_is_one_that_viewers_can_read(schema: dict[str, Any]) -> None:
             assert "$ref" not in field
             if field["type"] == "object":
                 check(field)
+            elif field["type"] == "array" and field["items"]["type"] == "object":
+                check(field["items"])  # as in Foxglove's own SceneUpdate
             elif field["type"] == "array":
                 assert field["items"]["type"] in ("boolean", "string", "number", "integer")
             else:
