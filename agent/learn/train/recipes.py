@@ -159,7 +159,7 @@ TUNED = {
 }
 
 # For any area, step and prior: a problem is drawn for each mission (`agent.learn.problems`). Updates under
-# `field` take ten times as long as under `paper`, so most is learned under `paper` first.
+# `field` take longer than under `paper`, so the first part is learned under `paper`.
 ANYWHERE = {
     "ppo": Recipe(
         algorithm="ppo",
