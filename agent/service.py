@@ -71,7 +71,7 @@ def run(
     bus.tally.about = policy
     bus.publish_health()
     bus.log.info(f"ready: {policy}")
-    answered: int | None = None
+    answered: Belief | None = None
     waypoints: list[Place] = []
     while True:
         arrival: Arrival = bus.receive()
@@ -84,7 +84,7 @@ def run(
             continue
         belief, particles = received
         taken = belief.readings or (_alone(belief, system),)
-        later = 1 if answered is None else elapsed_ms(answered, belief.time_boot_ms)
+        later = 1 if answered is None else _later(answered, belief)
         if belief.ceased or belief.step >= budget or later < 0:
             continue
         if later or len(waypoints) != len(taken):
@@ -93,10 +93,13 @@ def run(
                 waypoints = [scripted[belief.step]]
             else:
                 places, gases = [each.position for each in taken], [each.gas for each in taken]
-                waypoints = choose_all(policy, belief, particles, seed, reach, places, gases, separation_m)
+                numbers = [each.vehicle for each in taken]
+                waypoints = choose_all(
+                    policy, belief, particles, seed, reach, places, gases, separation_m, numbers
+                )
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(belief.step)
-            answered = belief.time_boot_ms
+            answered = belief
         # A repeated belief means that our waypoint did not arrive: send the same one again.
         frames = [
             waypoint_message(each.system, each.time_boot_ms, place, each.altitude_m)
@@ -104,6 +107,17 @@ def run(
         ]
         bus.publish(WAYPOINT, codec.pack(*frames))
         bus.answered()
+
+
+def _later(answered: Belief, belief: Belief) -> int:
+    """Return by how much a belief is later than the answered one: 0 if it is that one again.
+
+    By time, of one vehicle. Of several each has a clock of its own, and the last one of a round may change:
+    by rounds.
+    """
+    if answered.readings and belief.readings:
+        return belief.step - answered.step
+    return elapsed_ms(answered.time_boot_ms, belief.time_boot_ms)
 
 
 def _alone(belief: Belief, system: int) -> RoundReading:
@@ -168,13 +182,17 @@ def check(belief: Belief, area: Area) -> None:
 
 
 def _check_readings(belief: Belief) -> None:
-    """Raise ValueError unless the readings of a round are those of vehicles 1, 2 and so on, the last one's
-    being the belief's own.
+    """Raise ValueError unless the readings of a round are those of different vehicles, in their order, the last
+    one's being the belief's own.
     """
     readings = belief.readings or ()
-    if belief.readings is not msgspec.UNSET and not 1 < len(readings) <= MOST_VEHICLES:
-        raise ValueError(f"{len(readings)} readings in a round; wanted 2 to {MOST_VEHICLES}")
-    if [each.vehicle for each in readings] != [*range(1, len(readings) + 1)]:
-        raise ValueError("the readings of a round are not those of vehicles 1, 2 and so on, in their order")
+    if belief.readings is not msgspec.UNSET and not 1 <= len(readings) <= MOST_VEHICLES:
+        raise ValueError(f"{len(readings)} readings in a round; wanted 1 to {MOST_VEHICLES}")
+    numbers = [each.vehicle for each in readings]
+    if numbers != sorted(set(numbers)) or max(numbers, default=1) > MOST_VEHICLES:
+        raise ValueError(
+            f"the readings of a round are of vehicles {' '.join(map(str, numbers))}; wanted each once, in their "
+            f"order, up to {MOST_VEHICLES}"
+        )
     if readings and readings[-1].time_boot_ms != belief.time_boot_ms:
         raise ValueError("the time of a belief is not that of the last reading of its round")

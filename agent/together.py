@@ -22,18 +22,21 @@ def choose_all(
     places: Sequence[Place],
     gases: Sequence[float],
     separation_m: float,
+    numbers: Sequence[int] | None = None,
 ) -> list[Place]:
     """Return the next place of each vehicle, in their order, float32 pairs; alone, as `choose` does.
 
     belief: after the last round's readings, which were taken at `places` and said `gases`. The draws of a
-    policy are keyed by (seed, vehicle, step).
+    policy are keyed by (seed, vehicle, step).  numbers: those of the vehicles, by default 1, 2 and so on: some
+    may have left.
     """
+    numbers = range(1, len(places) + 1) if numbers is None else numbers
     if len(places) == 1:
-        return [choose(name, belief, particles, seed, within)]
+        return [choose(name, belief, particles, seed_of(seed, numbers[0]), within)]
 
     def decide(vehicle: int, reach: Shared) -> Place:
         seen = seen_by(belief, places[vehicle], gases[vehicle])
-        return choose(name, seen, particles, seed_of(seed, vehicle + 1), reach)
+        return choose(name, seen, particles, seed_of(seed, numbers[vehicle]), reach)
 
     return in_turn(within, places, separation_m, decide)
 

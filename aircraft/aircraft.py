@@ -146,14 +146,21 @@ class GasSensor:
     services = SEARCHERS  # the services without which the search does not begin
     keys: tuple[Key, ...] = ()  # on which it is answered
     dwell_s = 0.0  # that the vehicle hovers before it measures
-    among = 1  # how many vehicles search together, itself included
+    among = 1  # how many vehicles began to search together, itself included
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured | None:
         """Take reading `number`; None: the values come later, through `take`."""
         raise NotImplementedError
 
-    def go(self, places: Sequence[tuple[float, float]]) -> None:
-        """Learn where all vehicles that search together go next, (x, y) m, in their order."""
+    def takes_part(self, step: int) -> int:
+        """Return how many vehicles take part in round `step` of a search by several."""
+        return self.among
+
+    def go(self, places: Sequence[tuple[float, float]], step: int) -> None:
+        """Learn where all vehicles that took part in round `step` go next, (x, y) m, in their order."""
+
+    def leaves(self, vehicle: int, step: int) -> None:
+        """Learn that a vehicle has left the search: `step` is the first round that it takes no part in."""
 
     def blow(self, u: float | None, phi: float | None) -> None:
         """Change speed or direction of the wind in a simulated world; None: as it was."""

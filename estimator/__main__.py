@@ -5,6 +5,8 @@ if __name__ == "__main__":  # here, because the modules below take long to load
 
     end_at_once()
 
+import math
+
 from estimator.options import add_sensor_argument, criteria, knowledge
 from link import cli
 from link.bus.session import Bus
@@ -65,6 +67,14 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         "the first reading's)",
     )
     cli.add_vehicles_argument(parser)
+    parser.add_argument(
+        "--overdue",
+        type=cli.number(0, math.inf),
+        default=20.0,
+        metavar="S",
+        help="of several vehicles, one for which the others have waited S real seconds leaves the search; 0: they "
+        "wait without end (default: %(default)g)",
+    )
     args = parser.parse_args(arguments)
     try:
         problem = problem_of(args)
@@ -96,7 +106,7 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         sole=True,
         vehicles=cli.numbers(args.vehicles),
     ) as bus:
-        run(bus, config, [args.sysid and args.sysid + other for other in range(args.vehicles)])
+        run(bus, config, [args.sysid and args.sysid + other for other in range(args.vehicles)], args.overdue)
 
 
 if __name__ == "__main__":

@@ -100,11 +100,14 @@ def _back(posterior: Posterior) -> tuple[float, float] | msgspec.UnsetType:
 def fit(posterior: Posterior, config: Config) -> float:
     """Return the p-value of the recent readings; 0 if the sensor is stuck.
 
-    It tests whether their ranks in their predictive distributions are uniform.
+    It tests whether their ranks in their predictive distributions are uniform. A sensor is stuck as long as its
+    last reading is a recent one: its vehicle may have left.
     """
     ranks = posterior.ranks
     for own in posterior.by_vehicle:
         last = posterior.readings[own, 5][-STUCK:]
+        if not isinstance(own, slice) and own[-1] < len(ranks) - RECENT:
+            continue
         if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
             return 0.0
     return 1.0 if len(ranks) < FEWEST else float(uniformity_p_value(ranks[-RECENT:]))

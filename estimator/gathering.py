@@ -1,10 +1,13 @@
 """Gathering: which readings of a search by several vehicles belong together, in a defined order.
 
-Round k has reading k of each vehicle, in the order of the vehicles. It is whole when the last of them has
-come, however they come: late, twice, or all those of one vehicle before those of another.
+Round k has reading k of each vehicle that takes part in it, in the order of the vehicles. It is whole when the
+last of them has come, however they come: late, twice, or all those of one vehicle before those of another. A
+vehicle that leaves takes part in the rounds before the one in which it left.
 """
 
+import math
 from collections import deque
+from collections.abc import Sequence
 
 from link.bus.mavlink import Reading
 
@@ -14,19 +17,54 @@ class Gathering:
 
     def __init__(self, vehicles: int) -> None:
         self.newest: list[Reading | None] = [None] * vehicles
+        self.counts = [0] * vehicles  # how many of each have been taken
         self._waiting: list[deque[Reading]] = [deque() for _ in range(vehicles)]
+        self._ends = [math.inf] * vehicles  # the first round that it takes no part in
+        self._next = 0  # the number of the next round
 
     def take(self, reading: Reading) -> None:
         """Take an admitted reading: it is later than those of its vehicle before."""
-        self.newest[reading.vehicle - 1] = reading
-        self._waiting[reading.vehicle - 1].append(reading)
+        own = reading.vehicle - 1
+        self.newest[own] = reading
+        self.counts[own] += 1
+        self._waiting[own].append(reading)
 
     def whole(self) -> tuple[Reading, ...]:
         """Return the next round, and forget it; empty if a reading is missing."""
-        if not all(self._waiting):
+        here = [waiting for waiting, end in zip(self._waiting, self._ends, strict=True) if self._next < end]
+        if not here or not all(here):
             return ()
-        return tuple(waiting.popleft() for waiting in self._waiting)
+        self._next += 1
+        return tuple(waiting.popleft() for waiting in here)
 
     def waits(self, vehicle: int) -> bool:
         """Whether the newest reading of a vehicle still waits for its round."""
         return bool(self._waiting[vehicle - 1])
+
+    def missing(self) -> Sequence[int]:
+        """Return the vehicles for which the others of the next round wait; empty if none has read yet."""
+        here = {
+            number: bool(waiting)
+            for number, (waiting, end) in enumerate(zip(self._waiting, self._ends, strict=True), 1)
+            if self._next < end
+        }
+        return [number for number, has_read in here.items() if not has_read] if any(here.values()) else []
+
+    def leave(self, vehicle: int, step: int) -> None:
+        """Let a vehicle leave: round `step` is the first that it takes no part in.
+
+        Raises ValueError if it has left already, or has been in that round.
+        """
+        if self.has_ended(vehicle):
+            raise ValueError(f"vehicle {vehicle} has left already")
+        if step < self._next:
+            raise ValueError(f"round {step} has been taken with vehicle {vehicle}")
+        self._ends[vehicle - 1] = step
+
+    def has_ended(self, vehicle: int) -> bool:
+        """Whether a vehicle has left, whatever of its readings is still to come."""
+        return self._ends[vehicle - 1] < math.inf
+
+    def is_over(self, vehicle: int) -> bool:
+        """Whether no further reading of a vehicle counts."""
+        return self.counts[vehicle - 1] >= self._ends[vehicle - 1]

@@ -11,52 +11,57 @@ from estimator.filter import Config, assimilate, prior
 from estimator.gathering import Gathering
 from link.bus.keys import BELIEF, READING, STOP
 from link.bus.mavlink import BadFrame, Reading, split, unpack_reading
-from link.bus.messages import Belief, RoundReading, pack_particles
-from link.bus.session import Arrival, Bus
+from estimator.roll import OVERDUE_S, Roll
+from link.bus.messages import Belief, Departure, RoundReading, departure_text, pack_particles
+from link.bus.session import Bus
 from link.bus.tally import REPEATED
 
 
-def run(bus: Bus, config: Config, systems: Sequence[int | None]) -> None:
+def run(
+    bus: Bus, config: Config, systems: Sequence[int | None], overdue_s: float = OVERDUE_S
+) -> None:
     """Serve until interrupted.
 
     The first readings are those published before it joined: this alone recovers a restarted estimator.
 
     systems: the MAVLink system id of each vehicle that searches; None: that of its first reading that is
-    admitted.
+    admitted.  overdue_s: the real time for which a round waits for one of several; 0: without end.
     """
-    _begin(bus, config)
     known, rounds = list(systems), Gathering(len(systems))
+    roll = Roll(bus, rounds, known, config, overdue_s)
+    _begin(bus, config)
     posterior = prior(config)
     summary, particles = None, b""
     stopped = False
     while True:
-        arrival: Arrival = bus.receive()
-        own = arrival.vehicle - 1
-        try:
-            reading = unpack_reading(arrival.payload, known[own])._replace(vehicle=arrival.vehicle)
-        except BadFrame as error:
-            bus.refuse(READING, str(error), error.kind)
-            continue
-        refused = refusal(reading, rounds.newest[own], config)
-        if refused:
-            kind, reason = refused
-            bus.refuse(READING, reason, kind)
-            if kind != REPEATED:
+        arrival, refused = roll.receive(), None
+        if arrival:
+            own = arrival.vehicle - 1
+            try:
+                reading = unpack_reading(arrival.payload, known[own])._replace(vehicle=arrival.vehicle)
+            except BadFrame as error:
+                bus.refuse(READING, str(error), error.kind)
                 continue
-        else:
-            rounds.take(reading)
-            known[own] = known[own] or split(arrival.payload)[0].system
+            if refused := refusal(reading, rounds.newest[own], config):
+                kind, reason = refused
+                bus.refuse(READING, reason, kind)
+                if kind != REPEATED:
+                    continue
+            else:
+                rounds.take(reading)
+                roll.took(arrival.vehicle, arrival.payload)
+                known[own] = known[own] or split(arrival.payload)[0].system
         while taken := rounds.whole():
             began = time.perf_counter()
             for each in taken:
                 posterior = assimilate(posterior, each, config)
             summary, array = belief(posterior, taken[-1], config)
-            if len(taken) > 1:
+            if len(systems) > 1:
                 summary = _of_all(summary, taken, known)
             particles = pack_particles(array)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(summary.step)
-            _judge(bus, summary, config)
+            _judge(bus, summary, config, roll.left)
             if summary.ceased and not stopped:
                 bus.publish(STOP, stop(summary, config))
                 bus.log.info(
@@ -68,7 +73,7 @@ def run(bus: Bus, config: Config, systems: Sequence[int | None]) -> None:
             bus.answered()
         # A repeated reading means that no answer arrived. Publishing the same belief again recovers from any
         # lost message. One that waits for those of other vehicles has no answer yet.
-        if refused and summary is not None and not rounds.waits(arrival.vehicle):
+        if arrival and refused and summary is not None and not rounds.waits(arrival.vehicle):
             bus.publish(BELIEF, summary, particles)
             bus.answered()
 
@@ -89,13 +94,16 @@ def _of_all(said: Belief, taken: Sequence[Reading], systems: Sequence[int | None
     return msgspec.structs.replace(said, readings=readings)
 
 
-def _judge(bus: Bus, said: Belief, config: Config) -> None:
-    """Warn while no stop would be honest: once a reason in the log, and in health as long as it lasts."""
+def _judge(bus: Bus, said: Belief, config: Config, left: Sequence[Departure]) -> None:
+    """Warn while no stop would be honest: once a reason in the log, and in health as long as it lasts.
+
+    Health also says who has left the search.
+    """
     reason, question = warning(said, config) or ("", "")
-    before = "".join(bus.tally.warnings)
+    before = "".join(bus.tally.warnings[:1])
     if reason and before.partition(" (")[0] != reason.partition(" (")[0]:
         bus.log.warning(f"{reason}: {question}")
-    bus.tally.warnings = (reason,) if reason else ()
+    bus.tally.warnings = (*[reason] * bool(reason), *map(departure_text, left))
 
 
 def _begin(bus: Bus, config: Config) -> None:

@@ -23,6 +23,7 @@ from plume.scenario import Scenario, draw
 from plume.worlds.world import World
 
 OWN_MOVES: Mapping[str, float] = MappingProxyType({})  # the planner's own moves
+NOBODY: Mapping[int, int] = MappingProxyType({})  # leaves the search
 # Fields of `Config` that may be given for a mission; the others have arguments of their own, or come from the
 # scenario.
 FURTHER = ("margin_m", "priors", "sensor", "stop_on_location", "stop_limits")
@@ -59,17 +60,19 @@ def mission(
     ends: bool = True,
     problem: Problem = PAPER,
     fleet: Fleet = ALONE,
+    leaving: Mapping[int, int] = NOBODY,
     **knowledge: Any,
 ) -> Mission:
     """Prepare the mission of a seed with a policy, by default with the paper's assumption.
 
     `moves`: fields of `Reach`. `ends`: whether the stop ends it. `budget` and `world`: the problem's if None.
-    `fleet`: the vehicles that fly it together. `knowledge`: other fields of `Config`, like the sensor.
+    `fleet`: the vehicles that fly it together; `leaving`: the first round without a vehicle, by its number.
+    `knowledge`: other fields of `Config`, like the sensor.
     """
     problem = with_arguments(problem, budget=budget, world=world)
     there, config = prepared(seed, problem, particles, threshold_m, **knowledge)
     within = reach(policy, moves, problem)
-    steps = _steps(there, config, policy, derived_seed(seed, "agent"), within, ends, fleet)
+    steps = _steps(there, config, policy, derived_seed(seed, "agent"), within, ends, fleet, leaving)
     return Mission(there.truth, config, steps)
 
 
@@ -116,8 +119,9 @@ def _steps(
     within: Reach,
     ends: bool,
     fleet: Fleet,
+    leaving: Mapping[int, int],
 ) -> Iterator[Step]:
-    rounds = Rounds(world, config, fleet.starts(world.start, world.seed, config.area))
+    rounds = Rounds(world, config, fleet.starts(world.start, world.seed, config.area), leaving)
     positions, decision_s = rounds.places, 0.0
     for step in range(world.problem.budget + 1):
         flown = rounds.fly(positions)
@@ -128,7 +132,15 @@ def _steps(
         began = time.process_time()
         gases = [reading.gas for reading in flown.readings]
         positions = choose_all(
-            policy, said, flown.particles, agent_seed, within, positions, gases, fleet.separation_m
+            policy,
+            said,
+            flown.particles,
+            agent_seed,
+            within,
+            rounds.places,
+            gases,
+            fleet.separation_m,
+            rounds.numbers,
         )
         decision_s = time.process_time() - began
 

@@ -1,7 +1,9 @@
 """The rounds of a mission: each vehicle takes a reading at its place, and one belief takes them all."""
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 from estimator.belief import belief
@@ -15,7 +17,7 @@ from plume.worlds.world import World
 
 
 class Round(NamedTuple):
-    """The readings of a round, one of each vehicle, and the belief after them."""
+    """The readings of a round, one of each vehicle that takes part in it, and the belief after them."""
 
     readings: Sequence[Reading]
     belief: Belief
@@ -31,17 +33,28 @@ class Rounds:
     order of the vehicles.
     """
 
-    def __init__(self, world: World, config: Config, starts: Sequence[Place]) -> None:
-        """Take the world as vehicle 1 measures it, and the vehicles' places."""
+    def __init__(
+        self,
+        world: World,
+        config: Config,
+        starts: Sequence[Place],
+        leaving: Mapping[int, int] = MappingProxyType({}),
+    ) -> None:
+        """Take the world as vehicle 1 measures it, and the vehicles' places.
+
+        leaving: the first round that a vehicle takes no part in, by its number, from 1, if it leaves.
+        """
         self._config = config
         self._posterior = prior(config)
         self._time = RoundTime(world, starts)
         self._before: list[Before | None] = [None] * len(starts)
+        self._leaving = leaving
+        self.numbers: Sequence[int] = range(1, len(starts) + 1)  # of the vehicles of the last round
 
     @property
     def places(self) -> Sequence[Place]:
-        """Where the vehicles are."""
-        return self._time.places
+        """Where the vehicles of the last round are."""
+        return [self._time.places[number - 1] for number in self.numbers]
 
     @property
     def number(self) -> int:
@@ -49,9 +62,18 @@ class Rounds:
         return self._time.number + 1
 
     def fly(self, places: Sequence[Place]) -> Round:
-        """Fly each vehicle to its next place, and take a reading there."""
-        self._time.go(places)
-        readings = [self._reading(vehicle) for vehicle in range(len(places))]
+        """Fly each vehicle of the last round to its next place, and take a reading there.
+
+        One that leaves in this round has been sent on its way, which counts for the time, but takes no reading.
+
+        Raises ValueError if none is left.
+        """
+        self._time.go(places, self.numbers)
+        round_number = self._time.number
+        self.numbers = [each for each in self.numbers if round_number < self._leaving.get(each, math.inf)]
+        if not self.numbers:
+            raise ValueError(f"all vehicles have left before round {round_number}")
+        readings = [self._reading(number - 1) for number in self.numbers]
         began = time.process_time()
         for reading in readings:
             self._posterior = assimilate(self._posterior, reading, self._config)

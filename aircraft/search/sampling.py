@@ -42,6 +42,11 @@ class Sampling:
         self._resending = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
 
     @property
+    def newest(self) -> int:
+        """The number of the newest reading; -1 before the first."""
+        return self._number - 1
+
+    @property
     def is_wanted(self) -> bool:
         """Whether an arrival is measured.
 

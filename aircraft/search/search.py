@@ -82,6 +82,7 @@ class Search:
         """Take the start, (x, y) m, and what tells people a text of a MAV_SEVERITY."""
         self.state = STANDBY  # what the uav's health says
         self.found = False  # True once the stop has been declared
+        self.left = ""  # why the vehicle has left a search of several; empty if it has not
         # The readings, and whether the newest is answered: the agent's first waypoint with its time answers
         # it
         self.answers = Answers()
@@ -129,7 +130,12 @@ class Search:
 
         A paused one keeps the answer for later.
         """
-        return self.state in (SEARCHING, PAUSED) and self.answers.awaited and not self.found
+        return self.state in (SEARCHING, PAUSED) and self.answers.awaited and not self.is_over
+
+    @property
+    def is_over(self) -> bool:
+        """True once the source is found, or the vehicle has left the search."""
+        return self.found or bool(self.left)
 
     # ---- how it goes on ----
 
@@ -144,6 +150,8 @@ class Search:
         if not self._begun:
             if searchers and self.found:
                 self._say_once("Search not begun: its estimator has stopped already; start it anew")
+            elif self.left:
+                self._say_once(f"Search not begun: the vehicle has left it: {self.left}")
             elif searchers:
                 self._begin(now_s)
         elif not self.vehicle.armed and not self.vehicle.moving:
@@ -152,7 +160,7 @@ class Search:
             )
             ended = f"ended by the pilot: {self._pilot}" if self._pilot else stopped
             self._said, self.leads, self.state = "", False, LANDED
-            if ended and not self.found and not self.vehicle.failure:
+            if ended and not self.is_over and not self.vehicle.failure:
                 self._say_once(ended)
         elif mode in (Mode.RETURN, Mode.LAND):
             self.leads, self.state = False, RETURNING  # by a pilot, a failsafe, or since the source is found
@@ -160,7 +168,7 @@ class Search:
             self.leads = False
             self._say(mavlink.MAV_SEVERITY_WARNING, f"Search gives way: {mode.name} by the autopilot")
         elif not self.leads:
-            self.state = HOLDING if self.found else PAUSED
+            self.state = HOLDING if self.is_over else PAUSED
         elif self.state == TAKING_OFF and mode is Mode.HOLD:
             self._obeyed(self.vehicle.setpoint(now_s, self.waypoint))
             self._obeyed(self.vehicle.set_mode(now_s, Mode.OFFBOARD))
@@ -188,8 +196,9 @@ class Search:
 
         No change of mode gives it back.
         """
-        if self.found or self.vehicle.failure:
-            return not_now(f"Resume refused: {self.vehicle.failure or 'the source is found'}")
+        if self.is_over or self.vehicle.failure:
+            why = "the vehicle has left the search" if self.left else "the source is found"
+            return not_now(f"Resume refused: {self.vehicle.failure or why}")
         if not self.under_way:
             return not_now("Resume refused: the search flies nothing")
         if self.leads:
@@ -238,6 +247,16 @@ class Search:
         if self.leads:
             self.leads = False
             self._obeyed(self.vehicle.set_mode(self.vehicle.now_s, mode))
+
+    def leave(self, reason: str) -> None:
+        """Leave a search of several, which goes on without the vehicle: if it leads, do what comes after it."""
+        if self.is_over:
+            return
+        self.left = reason
+        self._say(mavlink.MAV_SEVERITY_WARNING, f"The search goes on without this vehicle: {reason}")
+        if self.under_way and self.leads:
+            self.leads = False
+            self._obeyed(self.vehicle.set_mode(self.vehicle.now_s, AFTER_STOP[self._after_stop]))
 
     def _obeyed(self, result: Result) -> bool:
         if not result.accepted:

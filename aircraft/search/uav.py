@@ -31,9 +31,10 @@ from aircraft.search.sampling import Sampling
 from aircraft.search.search import PAUSED, SEARCHING, STANDBY, Search
 from aircraft.state import Arrived, Reached, TakenOver, VehicleFailed
 from link.bus.inbox import Inbox
-from link.bus.keys import MAVLINK_IN, STOP, WAYPOINT
+from link.bus.keys import DEPARTURE, MAVLINK_IN, STOP, WAYPOINT
 from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, unpack_plan, unpack_waypoint
+from link.bus.messages import Departure, departure_text
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.bus.tally import FAULT
 from link.interrupts import uninterrupted
@@ -116,6 +117,7 @@ class Uav:
         self._timeline = Timeline(events, self._perform)
         self._sampling = Sampling(search, clients, sensor, self._timeline, self._bus, self._log)
         self._services: set[str] = set()
+        self._left: set[int] = set()  # the vehicles that have left a search of several
         self._tally.state = search.state
         self._say.clients = clients
         self._meet()
@@ -129,7 +131,8 @@ class Uav:
     def run(self) -> None:
         """Run the service until it is interrupted."""
         if self._bus:
-            self._bus.subscribe(MAVLINK_IN, WAYPOINT, STOP, *self._sensor.keys)
+            together = [DEPARTURE] * (self._sensor.among > 1)
+            self._bus.subscribe(MAVLINK_IN, WAYPOINT, STOP, *together, *self._sensor.keys)
             self._bus.watch_services()
             self._bus.publish_health()
         # No KeyboardInterrupt: it could strike within a frame, be lost, or leave a real vehicle in the air.
@@ -216,14 +219,17 @@ class Uav:
         """Take a message from the bus. Raises BadFrame."""
         if arrival.key is WAYPOINT and self._sensor.among > 1:
             waypoint, places = unpack_plan(arrival.payload, self._clients.system)
-            if len(places) != self._sensor.among:
-                raise BadFrame(
-                    f"{len(places)} waypoints; wanted one for each of {self._sensor.among} vehicles"
-                )
+            step = self._sampling.newest
+            wanted = self._sensor.takes_part(step)
+            if len(places) != wanted and waypoint.time_boot_ms == self._search.answers.newest:
+                raise BadFrame(f"{len(places)} waypoints; wanted one for each of {wanted} vehicles")
             if self._answer(waypoint):
-                self._sensor.go(places)
+                self._sensor.go(places, step)
         elif arrival.key is WAYPOINT:
             self._answer(unpack_waypoint(arrival.payload, self._clients.system))
+        elif arrival.key is DEPARTURE:
+            if left := bus.decode(arrival, Departure):
+                self._leaves(bus, left, arrival)
         elif arrival.key is STOP:
             if stop := bus.take_stop(arrival):
                 self._search.declare(stop)
@@ -231,6 +237,17 @@ class Uav:
             self._sampling.take(arrival.payload)
         else:
             self._clients.take(arrival)
+
+    def _leaves(self, bus: Bus, left: Departure, arrival: Arrival) -> None:
+        """Take that a vehicle has left the search, and say it again: the estimator may have to start again."""
+        if left.vehicle in self._left:
+            return
+        self._left.add(left.vehicle)
+        self._sensor.leaves(left.vehicle, left.step)
+        self._log.info(departure_text(left))
+        bus.publish(DEPARTURE, arrival.payload, arrival.attachment or None)
+        if left.vehicle == bus.vehicle:
+            self._search.leave(left.reason)
 
     def _answer(self, waypoint: Message) -> bool:
         """Take the answer to a reading; returns whether it is accepted."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from link.access.roles import AGENT, BRIDGE, ESTIMATOR, EVERYBODY, OPERATOR, PAYLOAD, ROS2, VEHICLE
-from link.bus.messages import Belief, Health, Stop
+from link.bus.messages import Belief, Departure, Health, Stop
 
 FRAMES = "MAVLink 2 frames"
 OF_VEHICLE = "uav/"  # the keys of a vehicle of a search begin with it, and with the vehicle's number
@@ -170,6 +170,19 @@ STOP = Key(
     writers=(ESTIMATOR,),
     readers=(VEHICLE, AGENT, PAYLOAD, BRIDGE, ROS2),
 )
+DEPARTURE = Key(
+    "departure",
+    Departure,
+    "estimator",
+    "all",
+    Delivery(blocking=True, express=True, kept=8),
+    "once per vehicle that leaves",
+    "In a search by several only: a vehicle has left it. The attachment is the frames of its readings that "
+    "count, in their order, if they have at most 1,000,000 bytes. Each vehicle that hears it says it again "
+    "on the same key, so that an estimator that starts again learns of it.",
+    writers=(ESTIMATOR, VEHICLE),
+    readers=(ESTIMATOR, VEHICLE),
+)
 HEALTH = Key(
     "health/<service>",
     Health,
@@ -182,7 +195,7 @@ HEALTH = Key(
     readers=EVERYBODY,
 )
 
-KEYS = (MAVLINK_OUT, MAVLINK_IN, WAYPOINT, READING, PAYLOAD_IN, PAYLOAD_OUT, BELIEF, STOP, HEALTH)
+KEYS = (MAVLINK_OUT, MAVLINK_IN, WAYPOINT, READING, PAYLOAD_IN, PAYLOAD_OUT, BELIEF, STOP, DEPARTURE, HEALTH)
 
 SEARCHERS = frozenset({"estimator", "agent"})  # the search begins when these services have joined the bus
 # First and longest real time after which an unanswered reading is sent again; it doubles each time.

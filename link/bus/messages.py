@@ -147,8 +147,8 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     readings: Annotated[
         tuple[RoundReading, ...] | msgspec.UnsetType,
         Meta(
-            description="of a search by several vehicles: the readings of the round, one of each vehicle, in "
-            "their order; absent with one vehicle"
+            description="of a search by several vehicles: the readings of the round, one of each vehicle that "
+            "takes part in it, in their order; absent with one vehicle"
         ),
     ] = msgspec.UNSET
 
@@ -167,6 +167,21 @@ class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ]
     stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread"
     outside: Outside = 0.0
+
+
+class Departure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A vehicle has left the search by several: the others go on without it."""
+
+    vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle in the search, from 1")]
+    step: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=MOST,
+            description="the first round that it takes no part in; equals the number of its readings that count",
+        ),
+    ]
+    reason: Annotated[str, Meta(description="why, in words")]
 
 
 class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -217,10 +232,10 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0
 
 
-def by_vehicle(belief: Belief) -> list[Belief]:
-    """Return a belief as each vehicle of its search sees it: about its own reading."""
-    return [
-        msgspec.structs.replace(
+def by_number(belief: Belief) -> dict[int, Belief]:
+    """Return a belief as each vehicle of its round sees it, about its own reading, by the vehicle's number."""
+    return {
+        each.vehicle: msgspec.structs.replace(
             belief,
             time_boot_ms=each.time_boot_ms,
             position=each.position,
@@ -229,7 +244,17 @@ def by_vehicle(belief: Belief) -> list[Belief]:
             readings=msgspec.UNSET,
         )
         for each in belief.readings or ()
-    ] or [belief]
+    } or {1: belief}
+
+
+def by_vehicle(belief: Belief) -> list[Belief]:
+    """Return a belief as each vehicle of its round sees it: about its own reading."""
+    return [*by_number(belief).values()]
+
+
+def departure_text(left: Departure) -> str:
+    """Return a departure in words."""
+    return f"uav/{left.vehicle} has left the search at step {left.step}: {left.reason}"
 
 
 def stop_text(stop: Stop) -> str:

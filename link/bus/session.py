@@ -319,6 +319,14 @@ class Bus:
             lambda reply: received(reply.ok) if reply.ok else None,
         )
 
+    def kept(self, key: Key) -> list[Arrival]:
+        """Return what all publishers of a key keep now, each in its order."""
+        replies = ask_for_kept(
+            self._session, key.named(), key.delivery.kept, zenoh.handlers.FifoChannel(most_waiting(key))
+        )
+        samples = (reply.ok for reply in replies if reply.ok is not None)
+        return [arrival for sample in samples if (arrival := self._arrival(key, sample))]
+
     def settle(self, timeout_s: float) -> None:
         """Wait, at most timeout_s, until all that was sent before has arrived, in both directions.
 
@@ -371,6 +379,11 @@ class Bus:
             ):
                 present.setdefault(namespace, set()).add(service_of(reply.ok.key_expr))
         return {search_of(namespace, services) for namespace, services in present.items()}
+
+    @property
+    def vehicle(self) -> int | None:
+        """The number of the only vehicle that it deals with in a search of several; None: all, or one alone."""
+        return self._vehicles[0] if len(self._vehicles) == 1 else None
 
     @property
     def connected(self) -> bool:

@@ -28,16 +28,21 @@ class RoundTime:
         self.time_s = 0.0
         self._motion = speed_mps, accel_mps2
 
-    def go(self, places: Sequence[Place]) -> float:
-        """Fly each vehicle to its next place; returns the time of the readings there, s."""
+    def go(self, places: Sequence[Place], numbers: Sequence[int] | None = None) -> float:
+        """Fly vehicles to their next places; returns the time of the readings there, s.
+
+        numbers: those of the vehicles, from 1, in their order; None: all. Those that have left stay behind.
+        """
         self.number += 1
+        flown = range(len(self.places)) if numbers is None else [number - 1 for number in numbers]
         self.time_s += max(
-            float(leg_s(start, end, *self._motion))
-            + world.sensor.dwell
-            + TRY_AGAIN_S * world.loses(self.number)
-            for start, end, world in zip(self.places, places, self.worlds, strict=True)
+            float(leg_s(self.places[vehicle], end, *self._motion))
+            + self.worlds[vehicle].sensor.dwell
+            + TRY_AGAIN_S * self.worlds[vehicle].loses(self.number)
+            for vehicle, end in zip(flown, places, strict=True)
         )
         while self.worlds[0].warms_up(self.time_s):
             self.time_s += TRY_AGAIN_S
-        self.places = list(places)
+        for vehicle, end in zip(flown, places, strict=True):
+            self.places[vehicle] = end
         return self.time_s

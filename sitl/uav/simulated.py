@@ -228,10 +228,24 @@ class SharedSensor(SimulatedSensor):
         self._world = world
         self._rounds = RoundTime(world, starts, vehicle.config.speed_mps, vehicle.config.accel_mps2)
         self._rounds.go(starts)
+        self._ends = dict.fromkeys(numbers(len(starts)), math.inf)  # the first round without each vehicle
 
-    def go(self, places: Sequence[Place]) -> None:
-        """Learn where all go next, by which the time goes on."""
-        self._rounds.go(places)
+    def takes_part(self, step: int) -> int:
+        """Return how many vehicles take part in a round."""
+        return len(self._here(step))
+
+    def _here(self, step: int) -> Sequence[int]:
+        return [number for number, end in self._ends.items() if step < end]
+
+    def go(self, places: Sequence[Place], step: int) -> None:
+        """Learn where those of a round go next, by which the time goes on."""
+        self._rounds.go(places, self._here(step))
+
+    def leaves(self, vehicle: int, step: int) -> None:
+        """Learn that a vehicle has left the search. It is not waited for."""
+        if self._ends.get(vehicle) == math.inf:
+            self._ends[vehicle] = step
+            self.services -= {f"{OF_VEHICLE}{vehicle}"}
 
     def _now_s(self, place: Place, number: int) -> float:
         return self._rounds.time_s
@@ -299,7 +313,7 @@ class Asked:
         if kind not in MODE_MESSAGES:
             return self._protocol.receive(message, t_s, streams)
         before = self._vehicle.mode, self._vehicle.armed
-        if _asks_offboard(message) and self._search.under_way and not self._search.found:
+        if _asks_offboard(message) and self._search.under_way and not self._search.is_over:
             if self._search.leads and self._is_streaming(sender):
                 return self._protocol.refuse(
                     message, not_now("Offboard refused: the search leads, HOLD stops it")

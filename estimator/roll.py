@@ -1,0 +1,186 @@
+"""The roll of a search by several vehicles: who takes part, and who has left it, from which round on.
+
+When a vehicle leaves is the one thing in a search that a clock decides. It is therefore a message of the bus, a
+departure: what follows from the readings and the departures is the same wherever and whenever it is computed.
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+
+from estimator.admission import refusal
+from estimator.filter import Config
+from estimator.gathering import Gathering
+from link.bus.keys import DEPARTURE, HEALTH, OF_VEHICLE, READING
+from link.bus.mavlink import READING_KINDS, BadFrame, Reading, split, unpack_reading
+from link.bus.messages import Departure, Health, departure_text
+from link.bus.session import Arrival, Bus, LivelinessChange, part_of
+
+OVERDUE_S = 20.0  # real time for which a round waits for a vehicle: the others hover meanwhile
+AWAY = ("returning", "landed")  # states of a vehicle that reads no more
+# How often it is looked who is missing; and real time after the start in which nobody leaves: what a vehicle
+# has read before an estimator began comes within it.
+LOOK_S, LEARN_S = 0.5, 5.0
+MOST_FRAMES = 1_000_000  # bytes of readings that travel with a departure
+
+
+@dataclass
+class Attendance:
+    """Who holds up the rounds of a search, since when, and what is known of them.
+
+    It has no clock: callers pass the time, s.
+    """
+
+    overdue_s: float  # 0: nobody ever leaves
+    present: set[int] = field(default_factory=set)  # vehicles that have a liveliness token
+    health: dict[int, Health] = field(default_factory=dict)  # the newest of each vehicle
+    _since_s: Mapping[int, float] = field(default_factory=dict)  # when each of the missing was missed first
+
+    def look(self, now_s: float, missing: Sequence[int]) -> list[tuple[int, str]]:
+        """Return who of those that a round waits for leaves, and why."""
+        self._since_s = {vehicle: self._since_s.get(vehicle, now_s) for vehicle in missing}
+        return [
+            (vehicle, why)
+            for vehicle, since_s in self._since_s.items()
+            if self.overdue_s and (why := self._why(vehicle, now_s - since_s))
+        ]
+
+    def forgive(self) -> None:
+        """Count no time up to now: nobody could be heard."""
+        self._since_s = {}
+
+    def _why(self, vehicle: int, waited_s: float) -> str:
+        health = self.health.get(vehicle)
+        state = health.state if health else ""
+        words = f": {health.last_error}" if health and health.last_error else ""
+        if vehicle in self.present and state in AWAY:
+            return f"{state}{words}"
+        if waited_s < self.overdue_s:
+            return ""
+        if vehicle not in self.present:
+            return f"gone from the bus for {self.overdue_s:g} s"
+        held = "paused" if state == "paused" else "no reading"
+        return f"{held} for {self.overdue_s:g} s{words}"
+
+
+class Roll:
+    """Receives the readings of a search, and keeps the roll of who takes them. With one vehicle it is idle."""
+
+    def __init__(
+        self, bus: Bus, rounds: Gathering, systems: list[int | None], config: Config, overdue_s: float
+    ) -> None:
+        """Learn who has left before we joined.
+
+        systems: the MAVLink system id of each vehicle, None where it is not known yet.
+        """
+        self.left: list[Departure] = []
+        self._bus, self._rounds, self._systems, self._config = bus, rounds, systems, config
+        self._several = len(systems) > 1
+        self._attendance = Attendance(overdue_s)
+        self._frames: list[list[bytes]] = [[] for _ in systems]  # of each vehicle's readings that count
+        self._look_at_s, self._begin_at_s = 0.0, time.monotonic() + LEARN_S
+        self._told: set[int] = set()  # those whose readings after they left have been told of
+        if self._several:
+            bus.subscribe(DEPARTURE, HEALTH)
+            bus.watch_services()
+            for arrival in bus.kept(DEPARTURE):
+                self._hear(arrival)
+
+    def receive(self) -> Arrival | None:
+        """Return the next reading that may count; None if somebody has left meanwhile."""
+        while True:
+            if self._several and self._look():
+                return None
+            match self._bus.receive(LOOK_S if self._several else None):
+                case Arrival(key) as arrival if key is READING:
+                    if not self._rounds.is_over(arrival.vehicle):
+                        return arrival
+                    self._refuse(arrival.vehicle)
+                case Arrival(key) as arrival if key is DEPARTURE:
+                    if self._hear(arrival):
+                        return None
+                case Arrival(key) as arrival if key is HEALTH:
+                    if (vehicle := self._number(part_of(arrival.name))) and (
+                        health := self._bus.decode(arrival, Health)
+                    ):
+                        self._attendance.health[vehicle] = health
+                case LivelinessChange(service, alive):
+                    if vehicle := self._number(service):
+                        (self._attendance.present.add if alive else self._attendance.present.discard)(vehicle)
+
+    def took(self, vehicle: int, payload: bytes) -> None:
+        """Note the frames of a reading that counts."""
+        if self._several:
+            self._frames[vehicle - 1].append(payload)
+
+    def _number(self, part: str) -> int:
+        """Return the number of the vehicle that a part is; 0 if it is none of ours."""
+        number = part.removeprefix(OF_VEHICLE)
+        ours = part.startswith(OF_VEHICLE) and number.isdecimal() and 0 < int(number) <= len(self._systems)
+        return int(number) if ours else 0
+
+    def _look(self) -> bool:
+        """Let those leave for whom the others have waited long enough; returns whether there are any."""
+        now_s = time.monotonic()
+        if now_s < self._look_at_s:
+            return False
+        self._look_at_s = now_s + LOOK_S
+        if now_s < self._begin_at_s or self._bus.tally.ceased or not self._bus.connected:
+            self._attendance.forgive()
+            return False
+        leaving = self._attendance.look(now_s, self._rounds.missing())
+        for vehicle, why in leaving:
+            said = Departure(vehicle, self._rounds.counts[vehicle - 1], why)
+            frames = b"".join(self._frames[vehicle - 1])
+            self._leave(said)
+            self._bus.publish(DEPARTURE, said, frames if len(frames) <= MOST_FRAMES else None)
+        return bool(leaving)
+
+    def _hear(self, arrival: Arrival) -> bool:
+        """Take a departure from the bus; returns whether it is news. One that cannot be is refused."""
+        said = self._bus.decode(arrival, Departure)
+        if said is None or any(said.vehicle == known.vehicle for known in self.left):
+            return False
+        try:
+            if said.vehicle > len(self._systems):
+                raise BadFrame(f"vehicle {said.vehicle} of {len(self._systems)}", "other vehicle")
+            readings = self._unpacked(said, arrival.attachment)
+            self._leave(said)
+        except ValueError as error:
+            self._bus.refuse(DEPARTURE, str(error), getattr(error, "kind", "conflicting"))
+            return False
+        for reading, frames in readings:
+            if not self._rounds.is_over(said.vehicle) and not refusal(
+                reading, self._rounds.newest[said.vehicle - 1], self._config
+            ):
+                self._rounds.take(reading)
+                self.took(said.vehicle, frames)
+        return True
+
+    def _unpacked(self, said: Departure, frames: bytes) -> list[tuple[Reading, bytes]]:
+        """Return the readings that came with a departure, each with its frames. Raises BadFrame."""
+        own, readings = said.vehicle - 1, []
+        whole = split(frames) if frames else []
+        for at in range(0, len(whole), len(READING_KINDS)):
+            group = whole[at : at + len(READING_KINDS)]
+            payload = b"".join(frame.data for frame in group)
+            reading = unpack_reading(payload, self._systems[own])._replace(vehicle=said.vehicle)
+            self._systems[own] = self._systems[own] or group[0].system
+            readings.append((reading, payload))
+        return readings
+
+    def _leave(self, said: Departure) -> None:
+        """Take a vehicle from the roll. Raises ValueError."""
+        self._rounds.leave(said.vehicle, said.step)
+        self.left.append(said)
+        self._bus.log.warning(departure_text(said))
+
+    def _refuse(self, vehicle: int) -> None:
+        """Count a reading of a vehicle that has left; the first is told."""
+        if vehicle in self._told:
+            self._bus.tally.refuse("left")
+            return
+        self._told.add(vehicle)
+        self._bus.refuse(READING, f"uav/{vehicle} has left the search", "left")
