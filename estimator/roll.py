@@ -8,8 +8,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import msgspec
-
 from estimator.admission import refusal
 from estimator.filter import Config
 from estimator.gathering import Gathering
@@ -54,9 +52,10 @@ class Attendance:
     def _why(self, vehicle: int, waited_s: float) -> str:
         health = self.health.get(vehicle)
         state = health.state if health else ""
-        words = f": {health.last_error}" if health and health.last_error else ""
+        last = health.last_error if health else ""
+        words = f": {last}" if last else ""
         if vehicle in self.present and state in AWAY:
-            return f"{state}{words}"
+            return last or state
         if waited_s < self.overdue_s:
             return ""
         if vehicle not in self.present:
@@ -175,7 +174,7 @@ class Roll:
         """Take a vehicle from the roll. Raises ValueError."""
         self._rounds.leave(said.vehicle, said.step)
         self.left.append(said)
-        self._bus.log.warning(departure_text(said))
+        self._bus.log.info(departure_text(said))
 
     def _refuse(self, vehicle: int) -> None:
         """Count a reading of a vehicle that has left; the first is told."""

@@ -9,17 +9,15 @@ from estimator.admission import refusal
 from estimator.belief import belief, stop, warning
 from estimator.filter import Config, assimilate, prior
 from estimator.gathering import Gathering
+from estimator.roll import OVERDUE_S, Roll
 from link.bus.keys import BELIEF, READING, STOP
 from link.bus.mavlink import BadFrame, Reading, split, unpack_reading
-from estimator.roll import OVERDUE_S, Roll
-from link.bus.messages import Belief, Departure, RoundReading, departure_text, pack_particles
+from link.bus.messages import Belief, RoundReading, pack_particles
 from link.bus.session import Bus
 from link.bus.tally import REPEATED
 
 
-def run(
-    bus: Bus, config: Config, systems: Sequence[int | None], overdue_s: float = OVERDUE_S
-) -> None:
+def run(bus: Bus, config: Config, systems: Sequence[int | None], overdue_s: float = OVERDUE_S) -> None:
     """Serve until interrupted.
 
     The first readings are those published before it joined: this alone recovers a restarted estimator.
@@ -29,13 +27,15 @@ def run(
     """
     known, rounds = list(systems), Gathering(len(systems))
     roll = Roll(bus, rounds, known, config, overdue_s)
-    _begin(bus, config)
+    _begin(bus, config, roll)
     posterior = prior(config)
     summary, particles = None, b""
     stopped = False
     while True:
         arrival, refused = roll.receive(), None
-        if arrival:
+        if arrival is None:
+            bus.tally.about = _about(config, roll)
+        else:
             own = arrival.vehicle - 1
             try:
                 reading = unpack_reading(arrival.payload, known[own])._replace(vehicle=arrival.vehicle)
@@ -61,7 +61,7 @@ def run(
             particles = pack_particles(array)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(summary.step)
-            _judge(bus, summary, config, roll.left)
+            _judge(bus, summary, config)
             if summary.ceased and not stopped:
                 bus.publish(STOP, stop(summary, config))
                 bus.log.info(
@@ -94,21 +94,24 @@ def _of_all(said: Belief, taken: Sequence[Reading], systems: Sequence[int | None
     return msgspec.structs.replace(said, readings=readings)
 
 
-def _judge(bus: Bus, said: Belief, config: Config, left: Sequence[Departure]) -> None:
-    """Warn while no stop would be honest: once a reason in the log, and in health as long as it lasts.
-
-    Health also says who has left the search.
-    """
+def _judge(bus: Bus, said: Belief, config: Config) -> None:
+    """Warn while no stop would be honest: once a reason in the log, and in health as long as it lasts."""
     reason, question = warning(said, config) or ("", "")
-    before = "".join(bus.tally.warnings[:1])
+    before = "".join(bus.tally.warnings)
     if reason and before.partition(" (")[0] != reason.partition(" (")[0]:
         bus.log.warning(f"{reason}: {question}")
-    bus.tally.warnings = (*[reason] * bool(reason), *map(departure_text, left))
+    bus.tally.warnings = (reason,) if reason else ()
 
 
-def _begin(bus: Bus, config: Config) -> None:
+def _about(config: Config, roll: Roll) -> str:
+    """Return what it runs with, and without whom."""
+    without = f", without {', '.join(f'uav/{each.vehicle}' for each in roll.left)}" if roll.left else ""
+    return f"{config.particles} particles, assume {config.assume}, stop {config.criterion.text}{without}"
+
+
+def _begin(bus: Bus, config: Config, roll: Roll) -> None:
     bus.subscribe(READING)
-    bus.tally.about = f"{config.particles} particles, assume {config.assume}, stop {config.criterion.text}"
+    bus.tally.about = _about(config, roll)
     bus.publish_health()
     steady = config.assume == "field" and "cv" not in config.effective_priors
     bus.log.info(

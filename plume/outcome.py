@@ -26,6 +26,7 @@ DEGREE_DECIMALS = 8  # of latitude and longitude: a millimetre, the same on all 
 FARTHEST_M = 1e7  # from home
 # Gas whose cv may be less than COMES_AND_GOES and also this is not known well enough for a word.
 UNKNOWN_CV = 1.5
+LINE = 60  # characters of a line for people
 
 
 # Units of the fields that say none, and what the others' endings mean.
@@ -82,6 +83,22 @@ class TracePoint(msgspec.Struct, frozen=True, omit_defaults=True):
     vehicle: int = 1
 
 
+class Left(msgspec.Struct, frozen=True):
+    """A vehicle that has left the search by several, and why."""
+
+    vehicle: int  # its number, from 1
+    step: int  # the first round that it took no part in
+    reason: str
+
+
+class Measured(msgspec.Struct, frozen=True):
+    """What one vehicle has measured."""
+
+    vehicle: int  # its number, from 1
+    readings: int
+    largest: float | None  # of its readings, in the sensor's unit; None without any
+
+
 class Outcome(msgspec.Struct, frozen=True):
     """The result of a mission; `fly` and `rollout` print it as JSON. Lengths in metres, times in seconds.
 
@@ -121,6 +138,8 @@ class Outcome(msgspec.Struct, frozen=True):
     rate_interval_gs: tuple[float, float] | None = None  # its 95% interval; None if it was known
     units: dict[str, str] = {}  # by the ending of a field's name
     distances_m: tuple[float, ...] = ()  # of each vehicle, in their order
+    measured: tuple[Measured, ...] = ()  # by each vehicle, in their order
+    left: tuple[Left, ...] = ()  # who has left the search before its end, in the order in which they did
 
     @property
     def vehicles(self) -> int:
@@ -172,22 +191,22 @@ def outcome(
     advised_dwell_s: float = 0.0,
     last_word: LastWord | None = None,
     home: tuple[float, float] | None = None,
+    left: Sequence[Left] = (),
 ) -> Outcome:
     """Judge a mission by its true scenario, None if it is not known, and its trace.
 
     The trace's first point is the reading before any move.  outside_share, intermittency and advised_dwell_s
     are of the last belief; the last is 0 if as long as now.  home: latitude and longitude of the area's
-    corner, degrees, if it is known.
+    corner, degrees, if it is known.  left: who has left a search of several.
     """
     last = trace[-1]
     source = scenario.nearest(last.mean) if scenario else None
     ended = verdict(ceased, last.mean, source, outside_share, area)
     error_m = math.dist(last.mean, source) if source else None
     latitude_deg, longitude_deg = on_earth(home, last.mean)
-    paths = [
-        [point.position for point in trace if point.vehicle == vehicle]
-        for vehicle in range(1, max(point.vehicle for point in trace) + 1)
-    ]
+    vehicles = max(*(point.vehicle for point in trace), *(each.vehicle for each in left), 1)
+    own = [[point for point in trace if point.vehicle == number] for number in range(1, vehicles + 1)]
+    paths = [[point.position for point in points] for points in own]
     # `sum` differs between Pythons
     distances_m = [reduce(add, (math.dist(a, b) for a, b in pairwise(path)), 0.0) for path in paths]
     return Outcome(
@@ -218,6 +237,11 @@ def outcome(
         rate_interval_gs=last_word and last_word.rate_interval,
         units=dict(UNITS),
         distances_m=tuple(distances_m),
+        measured=tuple(
+            Measured(number, len(points), max((point.reading for point in points), default=None))
+            for number, points in enumerate(own, 1)
+        ),
+        left=tuple(left),
     )
 
 
@@ -247,7 +271,7 @@ def outcome_json(
 
 
 def outcome_text(result: Outcome) -> str:
-    """Lines for people, each within 60 characters: three, with the source four, and `gas_lines`."""
+    """Lines for people, each within 60 characters: three, with the source four, `gas_lines`, `vehicle_lines`."""
     ended = "not ceased"
     if result.outside:
         ended = f"{outside_text(result.outside_share, result.outside_to)},"
@@ -264,7 +288,26 @@ def outcome_text(result: Outcome) -> str:
         f"{ended} after {result.steps} steps{of_all}, {result.distance_m:.1f} m\n"
         f"estimate ({x:.2f}, {y:.2f}) ± {result.spread_m:.2f} m\n"
         f"{source}{assumed_text(result.assume, result.stop, result.world)}"
-    ) + "".join(f"\n{line}" for line in gas_lines(result.intermittency, result.advised_dwell_s))
+    ) + "".join(
+        f"\n{line}"
+        for line in [*gas_lines(result.intermittency, result.advised_dwell_s), *vehicle_lines(result)]
+    )
+
+
+def vehicle_lines(result: Outcome) -> list[str]:
+    """Lines for people, each within 60 characters: what each of several vehicles has measured, and who left."""
+    lines, left = [], {each.vehicle: each for each in result.left}
+    for each in result.measured if result.vehicles > 1 else ():
+        count = f"{each.readings} reading{'' if each.readings == 1 else 's'}"
+        most = "" if each.largest is None else f", at most {_short(each.largest, 2)}"
+        lines.append(f"{f'uav/{each.vehicle}':<9}{count}{most}")
+        if gone := left.get(each.vehicle):
+            lines.append(_cropped(f"{'':9}left at step {gone.step}: {gone.reason}"))
+    return lines
+
+
+def _cropped(line: str) -> str:
+    return line if len(line) <= LINE else f"{line[: LINE - 1]}…"
 
 
 def assumed_text(assume: str, stop: str, world: str) -> str:

@@ -18,6 +18,12 @@ StepNumber = Annotated[
     int, Meta(ge=0, description="a whole number from 0: number of the reading, 0 at the start")
 ]
 TimeS = Annotated[float, Meta(ge=0, le=MOST, description="a number from 0: simulation time, s")]
+VehicleNumber = Annotated[
+    int,
+    Meta(
+        ge=1, le=64, description="number of the vehicle on which it happens, of several; by default on each"
+    ),
+]
 Radians = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
 
 
@@ -42,19 +48,25 @@ class Wind(ScriptEvent, frozen=True, tag="wind"):
     phi: Radians | None = None
 
 
-class Dropout(ScriptEvent, frozen=True, tag="dropout"):
+class OfVehicle(ScriptEvent, frozen=True, kw_only=True):
+    """An event that may happen to one of several vehicles alone."""
+
+    vehicle: VehicleNumber | None = None
+
+
+class Dropout(OfVehicle, frozen=True, kw_only=True, tag="dropout"):
     """The sensor gives no value (NaN); the vehicle waits and tries again every second."""
 
     for_s: Annotated[float, Meta(gt=0, le=MOST, description="a number above 0: simulation time, s")]
 
 
-class Stuck(ScriptEvent, frozen=True, tag="stuck"):
+class Stuck(OfVehicle, frozen=True, kw_only=True, tag="stuck"):
     """The sensor repeats its last value."""
 
     readings: Count
 
 
-class Spike(ScriptEvent, frozen=True, tag="spike"):
+class Spike(OfVehicle, frozen=True, kw_only=True, tag="spike"):
     """A number is added to the sensor's readings."""
 
     gas: Annotated[
@@ -68,32 +80,32 @@ class Spike(ScriptEvent, frozen=True, tag="spike"):
     readings: Count = 1
 
 
-class Duplicate(ScriptEvent, frozen=True, tag="duplicate"):
+class Duplicate(OfVehicle, frozen=True, kw_only=True, tag="duplicate"):
     """Each reading is published `copies` more times."""
 
     readings: Count
     copies: Annotated[int, Meta(ge=1, le=100)] = 1
 
 
-class Delay(ScriptEvent, frozen=True, tag="delay"):
+class Delay(OfVehicle, frozen=True, kw_only=True, tag="delay"):
     """Readings arrive late."""
 
     readings: Count
     by_s: Annotated[float, Meta(gt=0, le=60, description="a number above 0 up to 60: real time, s")]
 
 
-class Lose(ScriptEvent, frozen=True, tag="lose"):
+class Lose(OfVehicle, frozen=True, kw_only=True, tag="lose"):
     """Each reading is lost `times` times on its way; the vehicle publishes it again until it is answered."""
 
     readings: Count
     times: Annotated[int, Meta(ge=1, le=100)] = 1
 
 
-class Hold(ScriptEvent, frozen=True, tag="hold"):
+class Hold(OfVehicle, frozen=True, kw_only=True, tag="hold"):
     """The operator makes the vehicle hold its position."""
 
 
-class Resume(ScriptEvent, frozen=True, tag="resume"):
+class Resume(OfVehicle, frozen=True, kw_only=True, tag="resume"):
     """The operator resumes the search; `after_s` counts from the last hold."""
 
     after_s: TimeS | None = None
@@ -106,16 +118,23 @@ class Resume(ScriptEvent, frozen=True, tag="resume"):
             )
 
 
-class Return(ScriptEvent, frozen=True, tag="return"):
+class Return(OfVehicle, frozen=True, kw_only=True, tag="return"):
     """The operator calls the vehicle home, where it lands."""
 
 
-class Land(ScriptEvent, frozen=True, tag="land"):
+class Land(OfVehicle, frozen=True, kw_only=True, tag="land"):
     """The operator makes the vehicle land where it is."""
 
 
 # Events that the UAV service carries out
 OnBoard = Wind | Dropout | Stuck | Spike | Duplicate | Delay | Lose | Hold | Resume | Return | Land
+
+
+def happens_to(event: OnBoard, number: int) -> bool:
+    """Whether an event happens on board of a vehicle of this number."""
+    return not isinstance(event, OfVehicle) or event.vehicle in (None, number)
+
+
 # Operator events: they happen after the reading of their step, all others before it
 BY_OPERATOR = (Hold, Return, Land)
 

@@ -217,6 +217,8 @@ class Uav:
 
     def _hear(self, bus: Bus, arrival: Arrival) -> None:
         """Take a message from the bus. Raises BadFrame."""
+        if arrival.key is WAYPOINT and self._search.left:
+            return  # it is for those that are left
         if arrival.key is WAYPOINT and self._sensor.among > 1:
             waypoint, places = unpack_plan(arrival.payload, self._clients.system)
             step = self._sampling.newest

@@ -24,7 +24,7 @@ from link.record.decoded import decode, decode_reading
 from link.record.reader import LogFile, RecordError, is_record
 from link.record.record import Entry, has_frames
 from link.terminal import Column, printable, table, tell, width_of
-from plume.outcome import assumed_text, gas_lines, outcome, outcome_text, outside_text, verdict
+from plume.outcome import Left, assumed_text, gas_lines, outcome, outcome_text, outside_text, verdict
 from plume.scenario import AS_MODELLED, Scenario
 from scene.follow.described import problem_of
 
@@ -176,6 +176,9 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         "intermittency": last.intermittency,
         "advised_dwell_s": last.advised_dwell or None,
     }
+    left = [Left(each.vehicle, each.step, each.reason) for each in survey.left.values()]
+    if left:
+        plain["left"] = msgspec.to_builtins(left)
     try:
         scenario = msgspec.convert(about["scenario"], Scenario)
     except (KeyError, msgspec.ValidationError):
@@ -201,6 +204,7 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         area,
         intermittency=last.intermittency,
         advised_dwell_s=last.advised_dwell,
+        left=left,
     )
     judged = {
         "located": result.located,

@@ -12,7 +12,7 @@ import msgspec
 
 from ground.tlog.log import LISTED, few
 from link.bus.mavlink import WRAP_MS
-from link.bus.messages import Belief, Stop, by_vehicle
+from link.bus.messages import Belief, Departure, Stop, by_number
 from link.record.record import Entry, began_s
 from link.terminal import printable
 from plume.outcome import TracePoint
@@ -49,6 +49,7 @@ class Survey:
         # By step, what the first belief of the step says: a point of each vehicle.
         self.trace: dict[int, list[TracePoint]] = {}
         self.last: Belief | None = None  # the first belief of the last step
+        self.left: dict[int, Departure] = {}  # who has left a search of several, by number
         self.restarts: Counter[str] = Counter()
         # Digests of the messages of the keys whose repeats mean something.
         self._told: dict[str, set[bytes]] = {"reading": set(), "belief": set(), "agdc/stop": set()}
@@ -123,6 +124,7 @@ class Survey:
         for prefix, name, kind in (
             ("belief", "belief", Belief),
             ("agdc/stop", "stop", Stop),
+            ("departure", "departure", Departure),
             ("health/", "health message", Alive),
         ):
             if entry.key.startswith(prefix):
@@ -137,11 +139,13 @@ class Survey:
         if isinstance(message, Belief) and message.step not in self.trace:
             self.trace[message.step] = [
                 TracePoint(own.position, own.gas, own.mean, own.spread, number)
-                for number, own in enumerate(by_vehicle(message), 1)
+                for number, own in by_number(message).items()
             ]
             self.answered.add(message.time_boot_ms)
             if self.last is None or message.step > self.last.step:
                 self.last = message
+        elif isinstance(message, Departure):
+            self.left.setdefault(message.vehicle, message)
         elif isinstance(message, Alive):
             self.restarts[key.removeprefix("health/")] += message.uptime_s < self._up_s.get(key, -math.inf)
             self._up_s[key] = message.uptime_s

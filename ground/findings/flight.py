@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from link.bus.keys import BELIEF, READING, row_name, vehicle_of
 from link.bus.mavlink import Reading, unpack_reading
-from link.bus.messages import Belief, Particles, by_vehicle, unpack_particles
+from link.bus.messages import Belief, Particles, by_number, unpack_particles
 from link.record.reader import Recording, read
 from link.record.record import Entry
 from plume.geodesy import to_global
@@ -108,7 +108,7 @@ def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = Non
     samples = [
         _sample(own, entry, readings.get((vehicle if said.readings else 0, own.time_boot_ms)))
         for said, entry in beliefs
-        for vehicle, own in enumerate(by_vehicle(said), 1)
+        for vehicle, own in by_number(said).items()
     ]
     last, entry = beliefs[-1]
     try:

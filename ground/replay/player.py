@@ -13,12 +13,13 @@ from typing import Any
 import msgspec
 
 from ground.replay import verify
-from ground.replay.source import SERVICES, VEHICLE_KEYS, Source, reading_time
+from ground.replay.source import SERVICES, VEHICLE_KEYS, Source
 from ground.replay.verify import Answer, Difference, Rules
 from link.bus.backoff import Backoff
 from link.bus.inbox import Inbox
 from link.bus.keys import (
     BELIEF,
+    DEPARTURE,
     HEALTH,
     READING,
     RESEND_FIRST_S,
@@ -28,7 +29,7 @@ from link.bus.keys import (
     row_name,
     vehicle_of,
 )
-from link.bus.messages import Belief, Health, by_vehicle, unpack_particles
+from link.bus.messages import Belief, Health, by_number, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.cli import numbers
 from link.record.record import Entry
@@ -55,7 +56,7 @@ def replay(
     """
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
-        readings = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
+        readings = {source.time_of(entry) for entry in source.entries if entry.key == READING.name}
         started = ", ".join(["router", *source.parts]) if connect is None else "replay"
         progress = stack.enter_context(Progress(max(len(readings) - 1, 0), started))
         endpoint = connect or _start(stack.enter_context(Processes(inbox)), source, secure, record)
@@ -96,7 +97,8 @@ class Player:
         self._progress = progress
         self._rules = rules
         self._own = own
-        self._last = source.vehicles if source.vehicles > 1 else None  # number of the last vehicle of several
+        # The number of the vehicle whose reading the services answer, of several.
+        self._last = source.vehicles if source.vehicles > 1 else None
         available = {kind for kind, service in SERVICES.items() if not own or service in source.parts}
         available -= rules.ignored if rules else frozenset()
         self._awaited = deque(key for key in source.then if key[1] in available)
@@ -133,13 +135,17 @@ class Player:
 
     def play(self, speedup: float) -> None:
         """Publish all messages at their pace, up to the first difference."""
+        for (
+            left
+        ) in self._source.turns.departures:  # first, so that no reading comes before it that is too late
+            self._bus.publish(DEPARTURE, left.payload)
         began, first_ns = time.monotonic(), self._source.entries[0].published_ns
         for entry in self._source.entries:
             if speedup:
                 self._listen(began + (entry.published_ns - first_ns) / 1e9 / speedup)
             if (
                 entry.key == READING.name
-                and (time_ms := reading_time(entry)) is not None
+                and (time_ms := self._source.time_of(entry)) is not None
                 and time_ms > self._latest_ms
             ):
                 began += self._wait_for_answers()
@@ -153,7 +159,8 @@ class Player:
             self._listen(time.monotonic() + max(SETTLE_S, 2 * self._slowest_s))
 
     def _publish(self, entry: Entry) -> None:
-        number = int(vehicle_of(entry.key) or 0) or self._last
+        turn = self._source.turns.by_reading.get(entry.payload)
+        number = int(vehicle_of(entry.key) or 0) or (turn.vehicle if turn else self._last)
         key = VEHICLE_KEYS[row_name(entry.key)]
         self._bus.publish(key, entry.payload, entry.attachment or None, vehicle=number)
 
@@ -162,6 +169,8 @@ class Player:
     def _begin(self, reading: Entry, time_ms: int) -> None:
         """Expect the answers to a new reading."""
         self._reading, self._latest_ms = reading.payload, time_ms
+        if turn := self._source.turns.by_reading.get(reading.payload):
+            self._last = turn.vehicle
         self._when = reading.published_ns, reading.simulation_s
         if self._first_ms < 0:
             self._first_ms = time_ms
@@ -240,7 +249,7 @@ class Player:
                     self._keep(HEALTH.named(health.service), item)
             case Arrival(key, payload, attachment):
                 for said in verify.answers(key.name, payload, attachment):
-                    self._answered(answer := said.near(self._latest_ms))
+                    self._answered(answer := self._source.turns.placed(said, self._latest_ms))
                     if key is not WAYPOINT and answer.time_ms <= self._latest_ms:
                         self._keep(key.name, item)
                     if answer.kind == "belief" and self._shown_ms < answer.time_ms <= self._latest_ms:
@@ -294,9 +303,10 @@ class Player:
     def _show(self, belief: Belief | None) -> None:
         if belief is not None:
             if self.last:
+                before, now = by_number(self.last), by_number(belief)
                 self._flown_m += sum(
-                    math.dist(before.position, now.position)
-                    for before, now in zip(by_vehicle(self.last), by_vehicle(belief), strict=False)
+                    math.dist(before[each].position, now[each].position)
+                    for each in before.keys() & now.keys()
                 )
             if belief.ceased and self.ceased_at is None:
                 self.ceased_at = belief.step

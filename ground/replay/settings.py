@@ -45,6 +45,7 @@ class Estimator(_Settings, frozen=True):
     lifetime: float | None = None
     prior: list[Plain] = []
     vehicles: Annotated[int, Meta(ge=1, le=MOST_VEHICLES)] | None = None
+    overdue: float | None = None
 
 
 class Agent(_Settings, frozen=True):
@@ -84,6 +85,8 @@ def words(service: str, recorded: list[str], bundle: str | None = None) -> list[
             raise ValueError(_quoted(f"{flag} {value}")) from None
     if service == "estimator":
         given.setdefault("assume", "paper")  # older estimators took all but the position to be known
+        if "vehicles" in given:
+            given["overdue"] = 0  # who leaves the search is what the record says
     settings = msgspec.to_builtins(msgspec.convert(given, SETTINGS[service], strict=False))
     return as_words(settings | ({"policy": bundle} if bundle else {}))
 

@@ -12,6 +12,7 @@ import msgspec
 from ground.logs import survey
 from ground.logs.table import is_table
 from ground.replay import settings, verify
+from ground.replay.turns import Turns
 from ground.replay.verify import Answer, Rules
 from ground.tlog import flight
 from ground.tlog.flight import LoggedFlight
@@ -87,6 +88,11 @@ class Source(NamedTuple):
     # Vehicles that searched together. Keys of the last one have their plain names in `entries`: its reading
     # is the last of a round, which the services answer.
     vehicles: int = 1
+    turns: Turns = Turns()  # the rounds of a search that vehicles have left
+
+    def time_of(self, entry: Entry) -> int | None:
+        """Return the time of a reading that the services answer, ms, as of its answers."""
+        return _time_of(entry, self.turns)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -149,12 +155,14 @@ def recording(path: Path, bundle: str | None = None) -> Source:
                 unfit[service] = f"{path} starts its {service} with {error}, which a record may not do{hint}"
     note = ""
     sure_ms = sure_ns = math.inf
-    entries = _as_the_last_one_says(log.entries, told.fleet.vehicles)
+    turns = Turns.of(log.entries[: log.damage[0].before] if log.damage else log.entries)
+    left = bool(turns.departures)
+    entries = turns.named(log.entries) if left else _as_the_last_one_says(log.entries, told.fleet.vehicles)
     sound = entries[: log.damage[0].before] if log.damage else entries
-    then = verify.said(sound)
+    then = verify.said(sound, turns.placed)
     asked: dict[int, int] = {}  # by the time of a reading, when it was published first
     for entry in sound:
-        if entry.key == READING.name and (time_ms := reading_time(entry)) is not None:
+        if entry.key == READING.name and (time_ms := _time_of(entry, turns)) is not None:
             asked.setdefault(time_ms, entry.published_ns)
     if not log.complete:
         end_s = max((entry.simulation_s for entry in sound), default=0.0)
@@ -163,15 +171,13 @@ def recording(path: Path, bundle: str | None = None) -> Source:
             note = f"warning: {path} {log.shortcoming}; --verify compares up to {end_s:.2f} s"
         sure_ns = max((entry.published_ns for entry in sound), default=0)
         sure_ms = max((time for time, ns in asked.items() if ns <= sure_ns - OVERTAKE_NS), default=-1)
+    flown = sorted(
+        (entry for entry in entries if row_name(entry.key) in VEHICLE_KEYS),
+        key=lambda entry: entry.published_ns,
+    )
     return Source(
         path,
-        _in_rounds(
-            sorted(
-                (entry for entry in entries if row_name(entry.key) in VEHICLE_KEYS),
-                key=lambda entry: entry.published_ns,
-            ),
-            told.fleet.vehicles,
-        ),
+        turns.in_order(flown) if left else _in_rounds(flown, told.fleet.vehicles),
         then,
         parts,
         told.namespace,
@@ -191,6 +197,7 @@ def recording(path: Path, bundle: str | None = None) -> Source:
         problem=told.problem,
         notes=(note,) if note else (),
         vehicles=told.fleet.vehicles,
+        turns=turns,
     )
 
 
@@ -349,6 +356,11 @@ def find(args: argparse.Namespace) -> tuple[Source, Rules | None]:
     return (source if args.connect else _with_services(source, rules)), rules
 
 
+def _time_of(entry: Entry, turns: Turns) -> int | None:
+    turn = turns.by_reading.get(entry.payload)
+    return turn.time_ms if turn else reading_time(entry)
+
+
 def reading_time(entry: Entry) -> int | None:
     """The time of a reading, ms, which goes on where time_boot_ms wraps; None if no estimator accepts it."""
     try:
@@ -430,7 +442,7 @@ def _cut(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
 
 def _rules(args: argparse.Namespace, source: Source) -> Rules:
     rules = Rules(verify.ignored(args.ignore, source.then.values()), args.tolerance)
-    published = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
+    published = {source.time_of(entry) for entry in source.entries if entry.key == READING.name}
     if not any(time in published and kind not in rules.ignored for time, kind in source.then):
         raise BadInput(
             f"--verify: no belief, stop or waypoint in {args.log} answers a replayed reading: nothing to "

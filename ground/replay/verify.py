@@ -4,7 +4,7 @@ It decodes their bytes without their code.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
@@ -47,6 +47,7 @@ class Answer(NamedTuple):
     time_ms: int  # time of the reading that it answers
     fields: dict[str, Any]
     published_ns: int = 0  # of a log's
+    system: int = 0  # whose reading closes the round that it answers, in a search of several
 
     def near(self, time_ms: float) -> "Answer":
         """Return it with its time near to another, ms: it goes on where time_boot_ms wraps."""
@@ -115,15 +116,20 @@ def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
         return []
     if kind == "belief":
         fields[PARTICLES] = _particles(attachment, fields.get("unknowns"))
-    return [Answer(kind, time_boot_ms, fields)]
+    return [Answer(kind, time_boot_ms, fields, system=_closing_system(fields.get("readings")))]
 
 
-def said(entries: Iterable[Entry]) -> dict[tuple[int, str], Answer]:
-    """Return the answers in a log by reading and kind, in order; repeated ones count once."""
+def said(
+    entries: Iterable[Entry], placed: Callable[[Answer, float], Answer] = Answer.near
+) -> dict[tuple[int, str], Answer]:
+    """Return the answers in a log by reading and kind, in order; repeated ones count once.
+
+    placed: gives an answer the time of its round, near to another time, ms.
+    """
     found: dict[tuple[int, str], Answer] = {}
     for entry in entries:
         for each in answers(entry.key, entry.payload, entry.attachment):
-            answer = each.near(1000 * entry.simulation_s)._replace(published_ns=entry.published_ns)
+            answer = placed(each, 1000 * entry.simulation_s)._replace(published_ns=entry.published_ns)
             found.setdefault((answer.time_ms, answer.kind), answer)
     return {key: found[key] for key in sorted(found, key=place)}
 
@@ -205,6 +211,13 @@ def step_of(answer: Answer | None) -> int | None:
 # ---- decoding ----
 
 
+def _closing_system(readings: Any) -> int:
+    """Return the system of the last reading of a round; 0 if there is none."""
+    last = readings[-1] if isinstance(readings, list) and readings else None
+    system = last.get("system") if isinstance(last, dict) else None
+    return system if isinstance(system, int) else 0
+
+
 def _waypoints(payload: bytes) -> list[Answer]:
     try:
         messages = unpack(payload)
@@ -219,12 +232,14 @@ def _waypoints(payload: bytes) -> list[Answer]:
             for message in messages
             for name in SETPOINT_MESSAGE.fieldnames
         }
-        return [Answer("waypoint", messages[-1].time_boot_ms, places)]
+        last = messages[-1]
+        return [Answer("waypoint", last.time_boot_ms, places, system=last.target_system)]
     return [
         Answer(
             "waypoint",
             message.time_boot_ms,
             {name: _float32(getattr(message, name)) for name in SETPOINT_MESSAGE.fieldnames},
+            system=message.target_system,
         )
         for message in messages
         if message.get_type() == SETPOINT_MESSAGE.msgname

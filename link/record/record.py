@@ -23,6 +23,7 @@ from link.bus.frames import Frame, frame_at, frames_in
 from link.bus.keys import (
     BELIEF,
     HEALTH,
+    DEPARTURE,
     KEYS,
     MAVLINK_IN,
     MAVLINK_OUT,
@@ -33,6 +34,7 @@ from link.bus.keys import (
     vehicle_of,
 )
 from link.bus.mavlink import ONBOARD_COMPUTER, continued
+from link.bus.messages import Departure
 from link.record.own import OwnSystem
 
 # Name of the metadata record that describes the run. If recording stops early, a second such record gives
@@ -148,6 +150,7 @@ class SimulationClock:
         self._newest_published_ns = 0
         self._readings: dict[int, int] = {}  # the times of the last MOST_READINGS by their time_boot_ms
         self._count = 0
+        self._left: set[str] = set()  # the numbers of those that have left a search of several
 
     def time_s(self, key: str, payload: bytes, published_ns: int) -> float:
         """Return the simulation time of a message, s.
@@ -158,9 +161,11 @@ class SimulationClock:
         if number := vehicle_of(key):
             clock = self._of.setdefault(number, SimulationClock())
             return clock.time_s(row_name(key), payload, published_ns)
+        if key == DEPARTURE.name:
+            with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                self._left.add(str(msgspec.json.decode(payload, type=Departure).vehicle))
         if self._of:
-            number = (min if key == WAYPOINT.name else max)(self._of, key=int)
-            return self._of[number].time_s(key, payload, published_ns)
+            return self._of[self._whose(key, payload)].time_s(key, payload, published_ns)
         own: int | None = None
         self._own.learn(key, payload)
         if key in (BELIEF.name, STOP.name):
@@ -177,6 +182,22 @@ class SimulationClock:
             if published_ns >= self._newest_published_ns:
                 self._newest_ms, self._newest_published_ns = own, published_ns
         return (self._newest_ms if own is None else own) / 1000.0
+
+    def _whose(self, key: str, payload: bytes) -> str:
+        """Return the number of the vehicle by whose clock a message of a search goes that is nobody's own.
+
+        An answer goes by that of its round's first or last reading; the first or last vehicle may have left.
+        """
+        order = sorted(self._of, key=int, reverse=key != WAYPOINT.name)
+        if not self._left:
+            return order[0]
+        answered: int | None = None
+        if key == WAYPOINT.name:
+            answered = _time_boot_ms(payload, ANSWER_TIME)
+        elif key in (BELIEF.name, STOP.name):
+            with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                answered = msgspec.json.decode(payload, type=_Timed).time_boot_ms
+        return next((number for number in order if answered in self._of[number]._readings), order[0])
 
     def _boot_ms(self, key: str, payload: bytes) -> int | None:
         if key not in FRAME_KEYS or key == MAVLINK_IN.name:  # a ground station has times of its own
@@ -196,8 +217,11 @@ class SimulationClock:
 
     @property
     def step(self) -> int:
-        """Number of the newest reading, of several vehicles the last one's; 0 at the start, -1 before it."""
-        return min((clock.step for clock in self._of.values()), default=self._count - 1)
+        """Number of the newest reading, 0 at the start, -1 before it; of several vehicles that search the last
+        one's.
+        """
+        searching = [clock.step for number, clock in self._of.items() if number not in self._left]
+        return min(searching, default=self._count - 1)
 
 
 # A run whose first time is at most this begins at 0.

@@ -12,7 +12,7 @@ import msgspec
 from link.bus.frames import Frame
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT, row_name, vehicle_of
 from link.bus.mavlink import Texts, continued, unpack_reading
-from link.bus.messages import Belief, Health, Particles, Stop, by_vehicle, unpack_particles
+from link.bus.messages import Belief, Health, Particles, Stop, by_number, unpack_particles
 from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
 from link.record.reader import Recording
@@ -68,6 +68,7 @@ class History:
         """
         self.backdrop = backdrop  # as it is at first
         self._number = number
+        self._round = (number,)  # the numbers of those that took part in the newest round
         self._beside: tuple[tuple[Point, float], ...] = ()  # what others read in the newest round
         self.own = OwnSystem()  # which system the vehicle is
         self.is_real = False  # whether a search flies a real autopilot: it speaks beside it, under its id
@@ -147,15 +148,16 @@ class History:
                     self._winds.add(time_s, unpack_reading(payload).wind)
                     return True
                 case BELIEF.name:
-                    seen = by_vehicle(msgspec.json.decode(payload, type=Belief))
-                    own = seen.pop(min(self._number, len(seen)) - 1)
-                    self._beside = tuple((each.position, each.gas) for each in seen)
+                    seen = by_number(msgspec.json.decode(payload, type=Belief))
+                    self._round = tuple(seen)
+                    own = seen.pop(self._number, None) or self._stayed(seen)
+                    self._beside = tuple((each.position, each.gas) for each in seen.values())
                     return self._take_belief(own, attachment, time_s)
                 case STOP.name:
                     return self._take_stop(msgspec.json.decode(payload, type=Stop), time_s)
                 case WAYPOINT.name:
                     places = [place for _, said in frames(payload, {SETPOINT}) if (place := waypoint(said))]
-                    at = min(self._number, len(places)) - 1
+                    at = self._round.index(self._number) if self._number in self._round else len(places)
                     for place in places[at : at + 1]:  # those of several vehicles are in their order
                         self.waypoints.add(time_s, place)
                     return bool(places)
@@ -163,6 +165,14 @@ class History:
                     health = msgspec.json.decode(payload, type=Health)
                     return key == HEALTH_PREFIX + health.service and self._parts.hears(health, time_s, wall_s)
         return False
+
+    def _stayed(self, seen: dict[int, Belief]) -> Belief:
+        """Return what the others of a round believe for a vehicle that has left: it stays where it has read last."""
+        others = next(iter(seen.values()))
+        last = self.measurements.at()
+        return (
+            others if last is None else msgspec.structs.replace(others, position=last.position, gas=last.gas)
+        )
 
     def lives(self, service: str, alive: bool, wall_s: float) -> None:
         """Take that a part appeared on the bus or is gone."""

@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from aircraft.operator import AUTOPILOT
-from link.bus.keys import BELIEF, HEALTH, MAVLINK_OUT, READING, SEARCHERS, STOP
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
-from link.bus.messages import Belief, Health, Stop, by_vehicle, unpack_particles
+from link.bus.messages import Belief, Departure, Health, Stop, by_number, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange, part_of
-from plume.outcome import LastWord, TracePoint, interval
+from plume.outcome import LastWord, Left, TracePoint, interval
 from scene.follow.area import PLACING, AreaFrame
 from scene.follow.telemetry import LOCAL, frames
 from sitl.launch.processes import MissionFailed
@@ -69,6 +69,7 @@ class VehicleHeard:
         self.health: Health | None = None  # the newest
         self.trace = HeardTrace()
         self.landed_since_s = math.inf  # when it was first heard to have landed
+        self.ended = ""  # how its process has ended, if it has
         # (north, east) m of home, where it stands; followed once MAVLINK_OUT is subscribed.
         self.landed_at: tuple[float, float] | None = None
         self._system = system or 0
@@ -88,6 +89,11 @@ class VehicleHeard:
     def landed(self) -> bool:
         """Whether it has landed since it began."""
         return self.landed_since_s < math.inf
+
+    @property
+    def flies(self) -> bool:
+        """Whether it may still land."""
+        return not self.landed and not self.ended
 
     @property
     def at_home(self) -> bool:
@@ -134,9 +140,16 @@ class MissionHeard:
         self.distance_m = 0.0  # how far the vehicles have flown from the first belief to the last
         self.stopped = False  # whether the estimator has declared a stop
         self.warned = False  # whether the estimator has ever warned
+        self.left: dict[
+            int, Departure
+        ] = {}  # who has left the search, by number, in the order in which they did
 
-    def take(self, arrival: Arrival, now_s: float) -> Belief | Health | None:
-        """Take a message; returns the health that it is, or the belief that goes beyond the last one."""
+    def take(self, arrival: Arrival, now_s: float) -> Belief | Health | Departure | None:
+        """Take a message; returns the health that it is, the belief that goes beyond the last one, or the news
+        that a vehicle has left.
+        """
+        if arrival.key is DEPARTURE:
+            return self._departure(self._bus.decode(arrival, Departure))
         if arrival.key is STOP:
             self.stopped = self.stopped or self._bus.decode(arrival, Stop) is not None
         elif arrival.key is READING:
@@ -153,10 +166,37 @@ class MissionHeard:
     def _vehicle(self, arrival: Arrival) -> VehicleHeard:
         return self.vehicles[arrival.vehicle - 1]
 
+    def _departure(self, left: Departure | None) -> Departure | None:
+        if left is None or left.vehicle in self.left or left.vehicle > len(self.vehicles):
+            return None
+        self.left[left.vehicle] = left
+        return left
+
+    @property
+    def searching(self) -> "list[VehicleHeard]":
+        """The vehicles that have not left the search."""
+        return [vehicle for number, vehicle in enumerate(self.vehicles, 1) if number not in self.left]
+
+    @property
+    def departures(self) -> list[Left]:
+        """Who has left the search, and whose process has ended in it."""
+        said = {
+            number: Left(number, each.step, self.vehicles[number - 1].ended or each.reason)
+            for number, each in self.left.items()
+        }
+        ended = {
+            number: Left(number, vehicle.trace.newest + 1, vehicle.ended)
+            for number, vehicle in enumerate(self.vehicles, 1)
+            if vehicle.ended
+        }
+        return [*(said | ended | said).values()]
+
     @property
     def trace(self) -> "HeardTrace":
-        """The beliefs and readings of the first vehicle; those of the others have the same steps."""
-        return self.vehicles[0].trace
+        """The beliefs and readings of the first vehicle of those that have searched longest: those of the others
+        have the same steps.
+        """
+        return max((vehicle.trace for vehicle in self.vehicles), key=lambda trace: trace.newest)
 
     @property
     def home(self) -> tuple[float, float] | None:
@@ -170,9 +210,10 @@ class MissionHeard:
             return None
         whole = [trace for trace in traces if trace is not None]
         return [
-            msgspec.structs.replace(point, vehicle=number + 1)
-            for step in zip(*whole, strict=True)
-            for number, point in enumerate(step)
+            msgspec.structs.replace(trace[step], vehicle=number)
+            for step in range(max(map(len, whole)))
+            for number, trace in enumerate(whole, 1)
+            if step < len(trace)
         ]
 
     def _health(self, arrival: Arrival, now_s: float) -> Health | None:
@@ -194,18 +235,18 @@ class MissionHeard:
         return LastWord(last.covariance, last.rate, rate_interval)
 
     def _belief(self, belief: Belief | None, particles: bytes) -> Belief | None:
-        if not belief or len(belief.readings or (belief,)) != len(self.vehicles):
+        if not belief or max(seen := by_number(belief)) > len(self.vehicles):
             return None
-        seen = by_vehicle(belief)
-        new = [vehicle.trace.belief(said) for vehicle, said in zip(self.vehicles, seen, strict=True)]
-        if not all(new):
+        if not all([self.vehicles[number - 1].trace.belief(said) for number, said in seen.items()]):
             return None
         if self.last:
             if belief.step < self.last.step:
                 return None  # it was missed, and comes late
-            before = by_vehicle(self.last)
+            before = by_number(self.last)
             self.distance_m += sum(
-                math.dist(old.position, now.position) for old, now in zip(before, seen, strict=True)
+                math.dist(before[number].position, now.position)
+                for number, now in seen.items()
+                if number in before
             )
         self.last, self._particles = belief, particles
         return belief
@@ -261,6 +302,11 @@ class HeardTrace:
     def time_s(self, step: int) -> float:
         """Return the simulation time of a belief that has come, s."""
         return self._times[step] / 1000
+
+    @property
+    def newest(self) -> int:
+        """The greatest step; -1 before any."""
+        return max(self._points, default=-1)
 
     @property
     def missing(self) -> int:

@@ -11,12 +11,15 @@ from typing import Any, NamedTuple
 import msgspec
 
 from aircraft.operator import AUTOPILOT, LAUNCHER_IDS, SEARCH, order
+from aircraft.search.search import STANDBY
 from link.bus.inbox import Inbox
-from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEARCHERS, STOP
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.log import LEVELS
 from link.bus.mavlink import Codec
-from link.bus.messages import Belief, Health
+from link.bus.messages import Belief, Departure, Health, departure_text
 from link.bus.session import Arrival, Bus, LivelinessChange, part_of
+from link.cli import BAD_INPUT
+from link.early import INTERRUPTED
 from link.terminal import printable
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
@@ -34,6 +37,7 @@ from sitl.launch.processes import (
     LogLine,
     MissionFailed,
     Processes,
+    how_ended,
     raise_for,
     secure_words,
 )
@@ -97,7 +101,8 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
                     vehicles=mission.numbers,
                 )
             )
-            bus.subscribe(READING, BELIEF, STOP, HEALTH, *[MAVLINK_OUT] * bool(mission.real))
+            together = [DEPARTURE] * bool(mission.numbers)
+            bus.subscribe(READING, BELIEF, STOP, HEALTH, *together, *[MAVLINK_OUT] * bool(mission.real))
             return bus
 
         if mission.connect:
@@ -239,8 +244,11 @@ class MissionWatch:
             self._listen(self._disturbances.wait_s())
             if heard.last:
                 self._disturbances.reached(heard.last.step, self._time_s(heard.last.step))
-            first_landed_s = min(vehicle.landed_since_s for vehicle in heard.vehicles)
-            if not heard.stopped and time.monotonic() >= first_landed_s + LATE_STOP_S:
+            flying = [vehicle for vehicle in heard.searching if vehicle.flies]
+            last_landed_s = max(
+                (vehicle.landed_since_s for vehicle in heard.vehicles if vehicle.landed), default=-math.inf
+            )
+            if not (heard.stopped or flying) and time.monotonic() >= last_landed_s + LATE_STOP_S:
                 break
             if not (heard.stopped or self._has_ended()) or self._disturbances.wait_s() is not None:
                 lost_at = time.monotonic() + self._mission.patience_s
@@ -318,6 +326,10 @@ class MissionWatch:
                 self._gone.add(part)
                 self._watchdog.ended(part)
                 self._progress.say(f"warning: {spared}: {item.last_words}")
+            case Ended(part=part) if self._goes_on_without(item):
+                next(each for each in self._heard.vehicles if each.part == part).ended = how_ended(item)
+                self._watchdog.ended(part)
+                self._progress.say(f"warning: {part} {how_ended(item)}; its last words: {item.last_words}")
             case Ended():
                 raise_for(item)
             case LogLine(part, line, level):
@@ -337,14 +349,29 @@ class MissionWatch:
                 match self._heard.take(item, now_s):
                     case Health():
                         self._watchdog.heard(part_of(item.name), now_s)
+                    case Departure() as left:
+                        self._progress.say(f"warning: {departure_text(left)}")
                     case Belief() as belief:
                         if is_first:
                             self._introduce()
                         self._progress.show(belief, self._heard.distance_m)
 
+    def _goes_on_without(self, ended: Ended) -> bool:
+        """Whether the search of several goes on without a part that has ended: a vehicle, once all have begun."""
+        heard = self._heard
+        others = [each for each in heard.searching if each.flies and each.part != ended.part]
+        return (
+            ended.part in self._mission.uavs
+            and ended.status not in (INTERRUPTED, BAD_INPUT)
+            and bool(others)
+            and all(each.state not in ("", STANDBY) for each in heard.vehicles)
+        )
+
     def _introduce(self) -> None:
         """Say what is flown, once the search has begun; from then on its record counts."""
         script = self._mission.script
+        if self._mission.numbers:
+            self._watchdog.spare(self._mission.uavs)  # the others go on without one
         if script.about:
             self._progress.say(printable(script.about))
         where = "" if script.problem.area == PAPER.area else f"area {script.problem.area.text}, "
@@ -375,19 +402,25 @@ class MissionWatch:
             home and not self._mission.real
         ):  # a real vehicle's is heard from the beginning: it says where home is
             self._bus.subscribe(MAVLINK_OUT)  # where it has landed
-        flying = list(heard.vehicles)
+        flying = [vehicle for vehicle in heard.vehicles if not vehicle.ended]
         if not all(vehicle.landed for vehicle in flying):
             self._progress.say("returning home" if after == "return" else "landing")
         codec, call_at, lost_at = Codec(*LAUNCHER_IDS), 0.0, math.inf
         while flying := [
             vehicle
             for vehicle in flying
-            if not vehicle.landed or (home and vehicle.landed_at is None and time.monotonic() < lost_at)
+            if not vehicle.ended
+            and (not vehicle.landed or (home and vehicle.landed_at is None and time.monotonic() < lost_at))
         ]:
             if all(vehicle.landed for vehicle in flying):  # where they stand is not waited for without end
                 lost_at = min(lost_at, time.monotonic() + LAG_S)
             for vehicle in [vehicle for vehicle in flying if vehicle.state in ("paused", "holding")]:
                 self._progress.say(f"a pilot leads the {vehicle.called}: it is left to them")
+                flying.remove(vehicle)
+            for vehicle in [
+                vehicle for vehicle in flying if self._watchdog.is_lost(vehicle.part, time.monotonic())
+            ]:
+                self._progress.say(f"warning: the {vehicle.called} is silent: it is not waited for")
                 flying.remove(vehicle)
             if not flying:
                 return
@@ -440,6 +473,7 @@ class MissionWatch:
             advised_dwell_s=last.advised_dwell,
             last_word=heard.last_word(last),
             home=heard.home if self._mission.real else self._mission.home,
+            left=heard.departures,
         )
         located = bool(result.located)
         came_true = {

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from aircraft.payload.options import SIMULATED
+from aircraft.search.events import OfVehicle
 from link.cli import BadInput, numbers
 from plume.problem import PAPER
 from plume.problems.fleet import ALONE, Fleet
@@ -16,7 +17,7 @@ from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, Scenario
 from sitl.launch.watchdog import PATIENCE_S
 from sitl.script.script import AgentPart, Cut, EstimatorPart, Expectation, Kill, Lawnmower, Script, Waypoints
-from sitl.uav.options import at_own_home
+from sitl.uav.options import at_own_home, longest_wait_s
 
 # Expectations that need the source's true position.
 TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})
@@ -26,6 +27,9 @@ WITHOUT_FLEET = {
     "connect": "estimator and agent of several vehicles are started here",
     "secure": "certificates are for vehicles that search alone",
 }
+# Real time for which a round waits for one of several vehicles that might have come, s; at most this part of the
+# time after which the others go home because no waypoint comes.
+OVERDUE_S, OF_SILENCE = 20.0, 2 / 3
 USUAL = {"estimator": EstimatorPart(), "agent": AgentPart()}
 
 
@@ -163,9 +167,18 @@ def estimator_arguments(mission: Launch) -> list[str]:
         "--seed": derived_seed(script.seed, "estimator"),
         "--sysid": mission.system,
         "--vehicles": mission.fleet.vehicles if mission.numbers else None,
+        "--overdue": _overdue_s(mission) if mission.numbers else None,
         "--prior": [f"{name}={prior}" if prior else name for name, prior in part.prior.items()],
     }
     return _words(flags)
+
+
+def _overdue_s(mission: Launch) -> float:
+    """Return the real time for which a round waits for a vehicle: less than its own patience with the agent."""
+    script = mission.script
+    leg_s = longest_wait_s(script.vehicle_config(1), script.simulated().sensor.dwell)
+    waits_s = min(OVERDUE_S, OF_SILENCE * script.vehicle.silence_s)
+    return round(waits_s + (leg_s / script.speedup if script.speedup else 0.0), 1)
 
 
 def agent_arguments(mission: Launch) -> list[str]:
@@ -210,6 +223,12 @@ def check_fleet(script: Script, fleet: Fleet, given: Collection[str]) -> None:
 
     given: the flags that stand on the command line.
     """
+    for number, event in enumerate(script.events):
+        if isinstance(event, OfVehicle) and event.vehicle and event.vehicle > fleet.vehicles:
+            raise BadInput(
+                f"MISSION: events[{number}].vehicle: {event.vehicle} is not allowed; "
+                f"wanted 1 to {fleet.vehicles}, as many fly"
+            )
     if fleet.vehicles == 1:
         return
     for flag in ("vehicle", "connect", "secure"):

@@ -95,10 +95,14 @@ def raise_for(ended: Ended) -> NoReturn:
         raise KeyboardInterrupt  # an interrupted part ends the mission as Ctrl-C does
     if ended.status == BAD_INPUT:
         raise MissionFailed(ended.last_words.rpartition("error: ")[2], BAD_INPUT)
-    how = (
-        f"exited with status {ended.status}" if ended.status >= 0 else f"was killed by signal {-ended.status}"
-    )
-    raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
+    raise MissionFailed(f"{ended.part} {how_ended(ended)}; its last words: {ended.last_words}")
+
+
+def how_ended(ended: Ended) -> str:
+    """Return how a part has ended, in words."""
+    if ended.status < 0:
+        return f"was killed by signal {-ended.status}"
+    return f"exited with status {ended.status}"
 
 
 def environment() -> dict[str, str]:

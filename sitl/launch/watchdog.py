@@ -24,6 +24,7 @@ class _Watched:
     spoken: bool = False
     told: bool = False  # whether its silence has been reported
     disturbed: int = 0  # how many script events silence it at the moment
+    spared: bool = False  # whether the mission goes on without it
 
 
 class Watchdog:
@@ -38,7 +39,9 @@ class Watchdog:
         hangs: Callable[[str], None] = lambda _: None,
     ) -> None:
         """Watch parts that have just been started; `hangs` is called with one that is silent for too long."""
-        self._parts = {part: _Watched(now_s) for part in parts}
+        self._parts = {
+            part: _Watched(now_s, spared=part in KINDS and bool(KINDS[part].spared)) for part in parts
+        }
         self._patience_s = patience_s
         self._looked_s = now_s
         self._say, self._hangs = say, hangs
@@ -54,6 +57,17 @@ class Watchdog:
     def ended(self, part: str) -> None:
         """Stop watching a part that has ended."""
         self._parts.pop(part, None)
+
+    def spare(self, parts: Iterable[str]) -> None:
+        """Note that the mission goes on without these parts if they fall silent."""
+        for part in parts:
+            if known := self._parts.get(part):
+                known.spared = True
+
+    def is_lost(self, part: str, now_s: float) -> bool:
+        """Whether a part without which the mission goes on has been silent for too long."""
+        known = self._parts.get(part)
+        return known is not None and known.spared and now_s - known.since_s >= self._patience_s
 
     def begins(self, part: str, now_s: float) -> None:
         """Note that a part was restarted: its first message may take a while."""
@@ -90,7 +104,7 @@ class Watchdog:
                 if known.spoken
                 else (START_WARN_S, max(START_LIMIT_S, self._patience_s))
             )
-            if silent_s >= limit_s and not (part in KINDS and KINDS[part].spared):
+            if silent_s >= limit_s and not known.spared:
                 self._hangs(part)
                 since = "" if known.spoken else " since it was started"
                 return f"the {part} has said nothing for {limit_s:g} s{since} (--patience S waits longer)"

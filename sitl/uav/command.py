@@ -4,21 +4,18 @@ import argparse
 import shlex
 from dataclasses import replace
 from importlib import import_module
-from itertools import combinations
 
 from aircraft.search.command import Orders, fly
-from aircraft.search.events import OnBoard
+from aircraft.search.events import OnBoard, happens_to
 from aircraft.search.options import add_vehicle_url
 from link import cli
-from plume.flight import TRY_AGAIN_S, leg_s
 from plume.problem import PAPER
 from plume.problems.fleet import ALONE, MOST_VEHICLES, Fleet
 from plume.problems.options import add_fleet_arguments
-from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.vehicle import Vehicle
 from sitl.script.options import fleet_of, script_for_vehicle, script_of
 from sitl.script.script import Script
-from sitl.uav.options import add_vehicle_arguments, at_own_home
+from sitl.uav.options import add_vehicle_arguments, at_own_home, longest_wait_s
 from sitl.uav.simulated import simulated_uav
 
 REAL_VEHICLE = "aircraft.remote.command"  # flies a real vehicle; loaded only then
@@ -54,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     orders = Orders(
         script.simulated(),
         script.speedup,
-        [event for event in script.events if isinstance(event, OnBoard)],
+        [event for event in script.events if isinstance(event, OnBoard) and happens_to(event, number)],
         script.vehicle.after_stop,
         chosen,
         f" --separation {fleet.separation_m!r}" if apart else "",
@@ -67,18 +64,10 @@ def run(args: argparse.Namespace) -> int:
     config = at_own_home(config, max(args.instance + 1 - number, 0))
     if together:
         config = replace(
-            config, silence_s=config.silence_s + _longest_wait_s(config, orders.world.sensor.dwell)
+            config, silence_s=config.silence_s + longest_wait_s(config, orders.world.sensor.dwell)
         )
     vehicle = Vehicle(config)
     return fly(args, orders, lambda equipment, _: simulated_uav(vehicle, orders, equipment, number, fleet))
-
-
-def _longest_wait_s(config: VehicleConfig, dwell_s: float) -> float:
-    """Return the longest time that others may take to their next reading: no agent is silent for that, s."""
-    area = config.flown
-    corners = [(0.0, 0.0), area.low, area.high]
-    legs = [leg_s(a, b, config.speed_mps, config.accel_mps2) for a, b in combinations(corners, 2)]
-    return float(max(legs)) + dwell_s + TRY_AGAIN_S
 
 
 def _place_in_fleet(args: argparse.Namespace, script: Script) -> tuple[Fleet, int]:

@@ -3,12 +3,14 @@
 import argparse
 import math
 from dataclasses import replace
+from itertools import combinations
 from typing import get_args
 
 from aircraft.bridge.address import parse_out
 from aircraft.search.search import AfterStop
 from link import cli
 from link.signing.key import read_key
+from plume.flight import TRY_AGAIN_S, leg_s
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 from sitl.script.options import add_mission_arguments
@@ -96,6 +98,14 @@ def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:
     apart_m = max(HOMES_APART_M, config.flown.size_m[0] + HOMES_APART_M / 4)
     lat_deg, lon_deg = to_global(usual.home_lat_deg, usual.home_lon_deg, 0.0, apart_m * instance)
     return replace(config, home_lat_deg=lat_deg, home_lon_deg=lon_deg)
+
+
+def longest_wait_s(config: VehicleConfig, dwell_s: float) -> float:
+    """Return the longest time that others may take to their next reading: no agent is silent for that, s."""
+    area = config.flown
+    corners = [(0.0, 0.0), area.low, area.high]
+    legs = [leg_s(a, b, config.speed_mps, config.accel_mps2) for a, b in combinations(corners, 2)]
+    return float(max(legs)) + dwell_s + TRY_AGAIN_S
 
 
 def _home(text: str) -> tuple[float, float, float, float]:
