@@ -182,8 +182,9 @@ def check(belief: Belief, area: Area) -> None:
 
 
 def _check_readings(belief: Belief) -> None:
-    """Raise ValueError unless the readings of a round are those of different vehicles, in their order, the last
-    one's being the belief's own.
+    """Raise ValueError unless the readings of a round are those of different vehicles, in their order.
+
+    The last one's has to be the belief's own.
     """
     readings = belief.readings or ()
     if belief.readings is not msgspec.UNSET and not 1 <= len(readings) <= MOST_VEHICLES:
@@ -191,8 +192,8 @@ def _check_readings(belief: Belief) -> None:
     numbers = [each.vehicle for each in readings]
     if numbers != sorted(set(numbers)) or max(numbers, default=1) > MOST_VEHICLES:
         raise ValueError(
-            f"the readings of a round are of vehicles {' '.join(map(str, numbers))}; wanted each once, in their "
-            f"order, up to {MOST_VEHICLES}"
+            f"the readings of a round are of vehicles {' '.join(map(str, numbers))}; wanted each once, in "
+            f"their order, up to {MOST_VEHICLES}"
         )
     if readings and readings[-1].time_boot_ms != belief.time_boot_ms:
         raise ValueError("the time of a belief is not that of the last reading of its round")

@@ -27,8 +27,8 @@ def choose_all(
     """Return the next place of each vehicle, in their order, float32 pairs; alone, as `choose` does.
 
     belief: after the last round's readings, which were taken at `places` and said `gases`. The draws of a
-    policy are keyed by (seed, vehicle, step).  numbers: those of the vehicles, by default 1, 2 and so on: some
-    may have left.
+    policy are keyed by (seed, vehicle, step).  numbers: those of the vehicles, by default 1, 2 and so on;
+    some may have left.
     """
     numbers = range(1, len(places) + 1) if numbers is None else numbers
     if len(places) == 1:

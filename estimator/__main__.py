@@ -72,8 +72,8 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         type=cli.number(0, math.inf),
         default=20.0,
         metavar="S",
-        help="of several vehicles, one for which the others have waited S real seconds leaves the search; 0: they "
-        "wait without end (default: %(default)g)",
+        help="of several vehicles, one for which the others have waited S real seconds leaves the search; 0: "
+        "they wait without end (default: %(default)g)",
     )
     args = parser.parse_args(arguments)
     try:

@@ -100,8 +100,8 @@ def _back(posterior: Posterior) -> tuple[float, float] | msgspec.UnsetType:
 def fit(posterior: Posterior, config: Config) -> float:
     """Return the p-value of the recent readings; 0 if the sensor is stuck.
 
-    It tests whether their ranks in their predictive distributions are uniform. A sensor is stuck as long as its
-    last reading is a recent one: its vehicle may have left.
+    It tests whether their ranks in their predictive distributions are uniform. A sensor is stuck as long as
+    its last reading is a recent one: its vehicle may have left.
     """
     ranks = posterior.ranks
     for own in posterior.by_vehicle:

@@ -1,8 +1,8 @@
 """Gathering: which readings of a search by several vehicles belong together, in a defined order.
 
-Round k has reading k of each vehicle that takes part in it, in the order of the vehicles. It is whole when the
-last of them has come, however they come: late, twice, or all those of one vehicle before those of another. A
-vehicle that leaves takes part in the rounds before the one in which it left.
+Round k has reading k of each vehicle that takes part in it, in the order of the vehicles. It is whole when
+the last of them has come, however they come: late, twice, or all those of one vehicle before those of
+another. A vehicle that leaves takes part in the rounds before the one in which it left.
 """
 
 import math

@@ -1,7 +1,7 @@
 """The roll of a search by several vehicles: who takes part, and who has left it, from which round on.
 
-When a vehicle leaves is the one thing in a search that a clock decides. It is therefore a message of the bus, a
-departure: what follows from the readings and the departures is the same wherever and whenever it is computed.
+When a vehicle leaves is the one thing in a search that a clock decides. It is therefore a message of the bus,
+a departure: what follows from readings and departures is the same wherever and whenever it is computed.
 """
 
 import time
@@ -65,7 +65,7 @@ class Attendance:
 
 
 class Roll:
-    """Receives the readings of a search, and keeps the roll of who takes them. With one vehicle it is idle."""
+    """Receives the readings of a search, and keeps the roll of who takes them; with one vehicle idle."""
 
     def __init__(
         self, bus: Bus, rounds: Gathering, systems: list[int | None], config: Config, overdue_s: float

@@ -271,7 +271,10 @@ def outcome_json(
 
 
 def outcome_text(result: Outcome) -> str:
-    """Lines for people, each within 60 characters: three, with the source four, `gas_lines`, `vehicle_lines`."""
+    """Lines for people, each within 60 characters: three, with the source four.
+
+    `gas_lines` and `vehicle_lines` follow.
+    """
     ended = "not ceased"
     if result.outside:
         ended = f"{outside_text(result.outside_share, result.outside_to)},"
@@ -295,7 +298,7 @@ def outcome_text(result: Outcome) -> str:
 
 
 def vehicle_lines(result: Outcome) -> list[str]:
-    """Lines for people, each within 60 characters: what each of several vehicles has measured, and who left."""
+    """Lines for people, each within 60 characters: what each of several has measured, and who has left."""
     lines, left = [], {each.vehicle: each for each in result.left}
     for each in result.measured if result.vehicles > 1 else ():
         count = f"{each.readings} reading{'' if each.readings == 1 else 's'}"

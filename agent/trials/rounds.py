@@ -64,7 +64,7 @@ class Rounds:
     def fly(self, places: Sequence[Place]) -> Round:
         """Fly each vehicle of the last round to its next place, and take a reading there.
 
-        One that leaves in this round has been sent on its way, which counts for the time, but takes no reading.
+        One that leaves in this round has been sent on its way, which counts for the time, but does not read.
 
         Raises ValueError if none is left.
         """

@@ -249,7 +249,10 @@ class Search:
             self._obeyed(self.vehicle.set_mode(self.vehicle.now_s, mode))
 
     def leave(self, reason: str) -> None:
-        """Leave a search of several, which goes on without the vehicle: if it leads, do what comes after it."""
+        """Leave a search of several, which goes on without the vehicle.
+
+        If the search leads, it does what comes after it.
+        """
         if self.is_over:
             return
         self.left = reason

@@ -241,7 +241,7 @@ class Uav:
             self._clients.take(arrival)
 
     def _leaves(self, bus: Bus, left: Departure, arrival: Arrival) -> None:
-        """Take that a vehicle has left the search, and say it again: the estimator may have to start again."""
+        """Take that a vehicle has left the search, and say it again, for an estimator that starts again."""
         if left.vehicle in self._left:
             return
         self._left.add(left.vehicle)

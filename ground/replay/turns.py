@@ -1,7 +1,8 @@
 """Which reading closes each round of a search that vehicles have left, and by which time a replay calls it.
 
-Each vehicle has a clock of its own, and the services answer a round at the time of its last reading. While the last
-vehicle is the same, its clock tells the rounds apart. When it has left, it is another's, which may be behind.
+Each vehicle has a clock of its own, and the services answer a round at the time of its last reading. While
+the last vehicle is the same, its clock tells the rounds apart. When it has left, it is another's, which may
+be behind.
 """
 
 from collections.abc import Iterable
@@ -67,7 +68,7 @@ class Turns:
         return turns
 
     def placed(self, answer: Answer, near_ms: float) -> Answer:
-        """Return an answer with the time of its round; if that is not known, with its own near to another, ms."""
+        """Return an answer with the time of its round; if that is not known, its own near to another, ms."""
         turn = self._by_said.get((answer.system, answer.time_ms))
         if turn is None and answer.kind == "stop" and isinstance(step := answer.fields.get("step"), int):
             turn = self._by_step.get(step)

@@ -147,8 +147,8 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     readings: Annotated[
         tuple[RoundReading, ...] | msgspec.UnsetType,
         Meta(
-            description="of a search by several vehicles: the readings of the round, one of each vehicle that "
-            "takes part in it, in their order; absent with one vehicle"
+            description="of a search by several vehicles: the readings of the round, one of each that takes "
+            "part in it, in their order; absent with one vehicle"
         ),
     ] = msgspec.UNSET
 
@@ -178,7 +178,8 @@ class Departure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Meta(
             ge=0,
             le=MOST,
-            description="the first round that it takes no part in; equals the number of its readings that count",
+            description="the first round that it takes no part in; equals the number of its readings that "
+            "count",
         ),
     ]
     reason: Annotated[str, Meta(description="why, in words")]
@@ -233,7 +234,7 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def by_number(belief: Belief) -> dict[int, Belief]:
-    """Return a belief as each vehicle of its round sees it, about its own reading, by the vehicle's number."""
+    """Return a belief as each vehicle of its round sees it, about its own reading, by their numbers."""
     return {
         each.vehicle: msgspec.structs.replace(
             belief,

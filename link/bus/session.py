@@ -382,7 +382,7 @@ class Bus:
 
     @property
     def vehicle(self) -> int | None:
-        """The number of the only vehicle that it deals with in a search of several; None: all, or one alone."""
+        """The number of the only vehicle of a search that it deals with; None: it deals with all."""
         return self._vehicles[0] if len(self._vehicles) == 1 else None
 
     @property

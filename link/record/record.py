@@ -22,8 +22,8 @@ import msgspec
 from link.bus.frames import Frame, frame_at, frames_in
 from link.bus.keys import (
     BELIEF,
-    HEALTH,
     DEPARTURE,
+    HEALTH,
     KEYS,
     MAVLINK_IN,
     MAVLINK_OUT,
@@ -184,9 +184,10 @@ class SimulationClock:
         return (self._newest_ms if own is None else own) / 1000.0
 
     def _whose(self, key: str, payload: bytes) -> str:
-        """Return the number of the vehicle by whose clock a message of a search goes that is nobody's own.
+        """Return whose clock a message of a search goes by that is nobody's own: the number of a vehicle.
 
-        An answer goes by that of its round's first or last reading; the first or last vehicle may have left.
+        An answer goes by that of its round's first or last reading. The first or last vehicle may have
+        left.
         """
         order = sorted(self._of, key=int, reverse=key != WAYPOINT.name)
         if not self._left:
@@ -217,9 +218,7 @@ class SimulationClock:
 
     @property
     def step(self) -> int:
-        """Number of the newest reading, 0 at the start, -1 before it; of several vehicles that search the last
-        one's.
-        """
+        """Number of the newest reading, 0 at the start, -1 before it; of several that of the last to read."""
         searching = [clock.step for number, clock in self._of.items() if number not in self._left]
         return min(searching, default=self._count - 1)
 

@@ -167,7 +167,7 @@ class History:
         return False
 
     def _stayed(self, seen: dict[int, Belief]) -> Belief:
-        """Return what the others of a round believe for a vehicle that has left: it stays where it has read last."""
+        """Return a round's belief for a vehicle that has left: it stays where it has read last."""
         others = next(iter(seen.values()))
         last = self.measurements.at()
         return (

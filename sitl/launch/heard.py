@@ -145,8 +145,10 @@ class MissionHeard:
         ] = {}  # who has left the search, by number, in the order in which they did
 
     def take(self, arrival: Arrival, now_s: float) -> Belief | Health | Departure | None:
-        """Take a message; returns the health that it is, the belief that goes beyond the last one, or the news
-        that a vehicle has left.
+        """Take a message.
+
+        Returns the health that it is, the belief that goes beyond the last one, or the first departure of a
+        vehicle.
         """
         if arrival.key is DEPARTURE:
             return self._departure(self._bus.decode(arrival, Departure))
@@ -193,8 +195,9 @@ class MissionHeard:
 
     @property
     def trace(self) -> "HeardTrace":
-        """The beliefs and readings of the first vehicle of those that have searched longest: those of the others
-        have the same steps.
+        """The beliefs and readings of the vehicle that has searched longest.
+
+        Those of the others have no other steps.
         """
         return max((vehicle.trace for vehicle in self.vehicles), key=lambda trace: trace.newest)
 

@@ -357,7 +357,7 @@ class MissionWatch:
                         self._progress.show(belief, self._heard.distance_m)
 
     def _goes_on_without(self, ended: Ended) -> bool:
-        """Whether the search of several goes on without a part that has ended: a vehicle, once all have begun."""
+        """Whether the search goes on without a part that has ended: one of several that have begun."""
         heard = self._heard
         others = [each for each in heard.searching if each.flies and each.part != ended.part]
         return (

@@ -27,8 +27,8 @@ WITHOUT_FLEET = {
     "connect": "estimator and agent of several vehicles are started here",
     "secure": "certificates are for vehicles that search alone",
 }
-# Real time for which a round waits for one of several vehicles that might have come, s; at most this part of the
-# time after which the others go home because no waypoint comes.
+# Real time for which a round waits for one of several vehicles that might have come, s; at most this part of
+# the time after which the others go home because no waypoint comes.
 OVERDUE_S, OF_SILENCE = 20.0, 2 / 3
 USUAL = {"estimator": EstimatorPart(), "agent": AgentPart()}
 
@@ -174,7 +174,7 @@ def estimator_arguments(mission: Launch) -> list[str]:
 
 
 def _overdue_s(mission: Launch) -> float:
-    """Return the real time for which a round waits for a vehicle: less than its own patience with the agent."""
+    """Return the real time for which a round waits for a vehicle: less than the others wait for the agent."""
     script = mission.script
     leg_s = longest_wait_s(script.vehicle_config(1), script.simulated().sensor.dwell)
     waits_s = min(OVERDUE_S, OF_SILENCE * script.vehicle.silence_s)

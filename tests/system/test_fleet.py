@@ -9,18 +9,19 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 import pytest
 
-from agent.trials.rollout import rollout
-from link.bus.keys import BELIEF, HEALTH, STOP
+from agent.trials.rollout import mission, rollout
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH, STOP
 from link.bus.mavlink import unpack_reading
-from link.bus.messages import Belief, Health, RoundReading, Stop, by_vehicle, pack_particles
+from link.bus.messages import Belief, Departure, Health, RoundReading, Stop, by_vehicle, pack_particles
 from link.bus.session import Bus, part_of
 from link.record.reader import read
+from plume.problems.fleet import Fleet
 from plume.randomness import derived_seed
 from plume.scenario import draw
 from tests.system.conftest import Part
@@ -148,18 +149,108 @@ def test_ctrl_c_ends_all_vehicles_and_leaves_nothing_behind(
     wait_until(lambda: all(map(has_ended, parts)))
 
 
-def test_a_vehicle_that_dies_is_named_and_ends_the_mission(start: type[Part], tmp_path: Path) -> None:
+def test_a_vehicle_that_dies_before_the_search_ends_the_mission(start: type[Part], tmp_path: Path) -> None:
     part = start(
         "sitl", "fly", "--vehicles", "2", "--policy", "random", "--speedup", "4", "--particles", "100", "--no-record",
-        cwd=tmp_path,
+        "--assume", "paper", cwd=tmp_path,
     )  # fmt: skip
-    part.comes_to("step   0")
-    for pid in children(part.process.pid):
-        words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
-        if "--number" in words and words[words.index("--number") + 1] == "2":
-            os.kill(pid, signal.SIGKILL)
+    vehicles: dict[str, int] = {}
+    while len(vehicles) < 2:
+        vehicles = processes_of(part)
+    os.kill(vehicles["2"], signal.SIGKILL)
     assert part.ended() == 1
     assert "error: uav/2 was killed by signal 9" in part.err[-1]
+
+
+def processes_of(part: Part) -> dict[str, int]:
+    """The processes of the vehicles of a mission, by their numbers."""
+    found = {}
+    for pid in children(part.process.pid):
+        words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+        if "--number" in words:
+            found[words[words.index("--number") + 1]] = pid
+    return found
+
+
+# ---- vehicles that leave ----
+
+LEAVING = {2: 6, 3: 4}  # the first round without a vehicle
+LOSING = """
+seed: 4
+speedup: 0
+fleet: {vehicles: 3, formation: corners}
+estimator: {particles: 300}
+events:
+  - {step: 3, do: return, vehicle: 3}
+  - {step: 5, do: return, vehicle: 2}
+"""
+
+
+class Lost(NamedTuple):
+    """What came of a mission of three, of which one is called home and then another."""
+
+    outcome: dict
+    said: str
+    record: Path
+
+
+@pytest.fixture(scope="module")
+def lost(tmp_path_factory: pytest.TempPathFactory) -> Lost:
+    folder = tmp_path_factory.mktemp("lost")
+    (folder / "losing.yaml").write_text(LOSING)
+    part = Part("sitl", "fly", "losing.yaml", "--record", "lost.mcap", "--json", "--trace", cwd=folder)
+    assert part.ended() == 0, part.err
+    return Lost(json.loads(part.out[-1]), "".join(part.err), folder / "lost.mcap")
+
+
+def test_those_that_are_left_find_the_source_as_in_process(lost: Lost) -> None:
+    steps = mission(
+        4, "homing", 300, 0.5, fleet=Fleet(3, "corners"), leaving=LEAVING, assume="field"
+    ).steps  # fmt: skip
+    expected = [
+        {
+            "position": [*taken.position],
+            "reading": taken.gas,
+            "mean": [*step.belief.mean],
+            "spread": step.belief.spread,
+            "vehicle": taken.vehicle,
+        }
+        for step in steps
+        for taken in step.readings
+    ]
+    assert [{"vehicle": 1, **point} for point in lost.outcome["trace"]] == expected
+    assert lost.outcome["located"]
+
+
+def test_the_outcome_names_who_left_when_and_why_and_who_measured_what(lost: Lost) -> None:
+    assert {each["vehicle"]: each["step"] for each in lost.outcome["left"]} == LEAVING
+    assert all("RETURN" in each["reason"] for each in lost.outcome["left"])
+    readings = [[p["reading"] for p in lost.outcome["trace"] if p.get("vehicle", 1) == n] for n in (1, 2, 3)]
+    assert [(each["readings"], each["largest"]) for each in lost.outcome["measured"]] == [
+        (len(own), max(own)) for own in readings
+    ]
+    assert "warning: uav/3 has left the search at step 4: " in lost.said
+    assert "left at step 6: " in lost.said
+    assert lost.said.count("has left the search") == 2
+    assert "refused" not in lost.said  # who has left is not told of waypoints that are for others
+
+
+def test_the_record_of_a_search_that_was_left_is_verified_and_told_as_it_was(
+    lost: Lost, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    status, out, err = run_sitl(monkeypatch, capsys, "replay", str(lost.record), "--verify", "--speedup", "0")
+    assert status == 0, err
+    steps = lost.outcome["steps"]
+    assert f"verified: {steps + 1} beliefs, 1 stop, {steps} waypoints" in "\n".join([*out, *err])
+    assert run_sitl(monkeypatch, capsys, "log", str(lost.record), "--json")[0] == 0
+    status, out, _ = run_sitl(monkeypatch, capsys, "log", str(lost.record), "--json")
+    assert json.loads(out[-1])["left"] == lost.outcome["left"]
+    status, _, err = run_sitl(
+        monkeypatch, capsys, "findings", str(lost.record), "--out", str(tmp_path / "found")
+    )
+    assert status == 0, err
+    rows = (tmp_path / "found" / "readings.csv").read_text().splitlines()
+    assert len(rows) == 1 + len(lost.outcome["trace"])
 
 
 # ---- services that die ----
@@ -173,7 +264,8 @@ class Watched:
 
     def __init__(self, router: str) -> None:
         self.bus = Bus("viewer", router, "search/1", announced=False, vehicles=(1, 2))
-        self.bus.subscribe(BELIEF, STOP, HEALTH)
+        self.bus.subscribe(BELIEF, STOP, DEPARTURE, HEALTH)
+        self.left: dict[int, Departure] = {}
         self.points: dict[int, list[tuple]] = {}
         self.stops: list[Stop] = []
         self.states: dict[str, str] = {}
@@ -188,6 +280,8 @@ class Watched:
             self.ceased = said.ceased
         elif item.key is STOP and (stop := self.bus.decode(item, Stop)):
             self.stops.append(stop)
+        elif item.key is DEPARTURE and (left := self.bus.decode(item, Departure)):
+            assert self.left.setdefault(left.vehicle, left) == left  # it is said again as it was
         elif item.key is HEALTH and (health := self.bus.decode(item, Health)):
             self.states[part_of(item.name)] = health.state
         return max(self.points, default=-1)
@@ -200,7 +294,7 @@ def watched(router: str) -> Iterator[Watched]:
         yield looking_on
 
 
-def commands(router: str) -> dict[str, tuple[str, ...]]:
+def commands(router: str, overdue: str = "20") -> dict[str, tuple[str, ...]]:
     """What starts the parts of the search, without a launcher."""
     truth = draw(SEED)
     joining, fleet = ("-e", router, *SEARCH), ("--vehicles", "2", "--from", "corners")
@@ -208,6 +302,7 @@ def commands(router: str) -> dict[str, tuple[str, ...]]:
         "estimator": (
             "estimator", *joining, "--vehicles", "2", "--particles", "300", "--rate", repr(truth.q), "--diffusivity",
             repr(truth.d), "--lifetime", repr(truth.tau), "--seed", str(derived_seed(SEED, "estimator")),
+            "--overdue", overdue,
         ),
         "agent": ("agent", *joining, "--policy", "homing", "--seed", str(derived_seed(SEED, "agent"))),
         **{
@@ -243,6 +338,33 @@ def test_a_service_that_is_killed_and_started_again_goes_on_with_the_same_search
     assert [watched.points[step] for step in sorted(watched.points)] == expected
     assert watched.stops[0].estimate == expected[-1][0][2]
     wait_until(lambda: watched.take() and [watched.states.get(f"uav/{n}") for n in (1, 2)] == ["landed"] * 2)
+
+
+def test_a_vehicle_that_dies_is_left_behind_and_an_estimator_that_starts_again_knows_it(
+    start: type[Part], router: str, watched: Watched, wait_until: Callable
+) -> None:
+    """Its readings have died with it: those of the others that heard of it bring them back."""
+    parts = commands(router, overdue="2")
+    running = {part: start(*words) for part, words in parts.items()}
+    stages = [
+        (3, lambda: running["uav/1"].process.send_signal(signal.SIGKILL)),
+        (9, lambda: running["estimator"].kill()),
+        (9, lambda: start(*parts["estimator"])),
+    ]
+    while not (watched.ceased and watched.stops):
+        step = watched.take()
+        while stages and step >= stages[0][0]:
+            stages.pop(0)[1]()
+    (left,) = watched.left.values()
+    assert (left.vehicle, left.reason) == (1, "gone from the bus for 2 s")
+    steps = mission(
+        SEED, "homing", 300, 0.5, fleet=Fleet(2, "corners"), leaving={1: left.step}, assume="field"
+    ).steps  # fmt: skip
+    expected = [
+        [(each.position, each.gas, step.belief.mean, step.belief.spread) for each in step.readings]
+        for step in steps
+    ]
+    assert [watched.points[step] for step in sorted(watched.points)] == expected
 
 
 # ---- what is shown of it ----
