@@ -14,7 +14,7 @@ from estimator.kernels.weights import effective_sample_size, moments, weighted_m
 from estimator.priors import Fixed
 from estimator.repeats import way_back
 from link.bus.mavlink import Reading
-from link.bus.messages import Belief, Particles, Stop
+from link.bus.messages import Belief, Contribution, Particles, Stop
 from plume.elementary import Array, Indices, direction
 from plume.parameters import PARAMETERS
 from plume.scenario import INCOMPATIBLE, SURE_OUTSIDE
@@ -262,6 +262,15 @@ def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[flo
     x, y = (1.0, 0.0) if "phi" in config.priors or not measured else (east / measured, north / measured)
     cosine, sine = map(float, direction(turns))
     return speed * (x * cosine - y * sine), speed * (x * sine + y * cosine)
+
+
+def contributions(posterior: Posterior) -> tuple[Contribution, ...]:
+    """Return what each vehicle has measured of the readings behind a posterior."""
+    vehicles = [1] if posterior.vehicles is None else np.unique(posterior.vehicles).tolist()
+    return tuple(
+        Contribution(vehicle, len(gas := posterior.readings[own, 5]), float(gas.max()))
+        for vehicle, own in zip(vehicles, posterior.by_vehicle, strict=True)
+    )
 
 
 def stop(ceased: Belief, config: Config) -> Stop:

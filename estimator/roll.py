@@ -126,10 +126,12 @@ class Roll:
         if now_s < self._look_at_s:
             return False
         self._look_at_s = now_s + LOOK_S
-        if now_s < self._begin_at_s or self._bus.tally.ceased or not self._bus.connected:
+        if not (missing := self._rounds.missing()) or self._bus.tally.ceased or not self._bus.connected:
             self._attendance.forgive()
             return False
-        leaving = self._attendance.look(now_s, self._rounds.missing())
+        leaving = self._attendance.look(now_s, missing)
+        if now_s < self._begin_at_s:
+            return False
         for vehicle, why in leaving:
             said = Departure(vehicle, self._rounds.counts[vehicle - 1], why)
             frames = b"".join(self._frames[vehicle - 1])

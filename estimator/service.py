@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import msgspec
 
 from estimator.admission import refusal
-from estimator.belief import belief, stop, warning
+from estimator.belief import belief, contributions, stop, warning
 from estimator.filter import Config, assimilate, prior
 from estimator.gathering import Gathering
 from estimator.roll import OVERDUE_S, Roll
@@ -63,7 +63,10 @@ def run(bus: Bus, config: Config, systems: Sequence[int | None], overdue_s: floa
             bus.tally.did(summary.step)
             _judge(bus, summary, config)
             if summary.ceased and not stopped:
-                bus.publish(STOP, stop(summary, config))
+                claim = stop(summary, config)
+                if len(systems) > 1:
+                    claim = msgspec.structs.replace(claim, measured=contributions(posterior))
+                bus.publish(STOP, claim)
                 bus.log.info(
                     f"ceased at step {summary.step}: ({summary.mean[0]:.2f}, {summary.mean[1]:.2f}) ± "
                     f"{summary.spread:.2f} m"

@@ -91,7 +91,7 @@ class Left(msgspec.Struct, frozen=True):
     reason: str
 
 
-class Measured(msgspec.Struct, frozen=True):
+class MeasuredBy(msgspec.Struct, frozen=True):
     """What one vehicle has measured."""
 
     vehicle: int  # its number, from 1
@@ -138,7 +138,7 @@ class Outcome(msgspec.Struct, frozen=True):
     rate_interval_gs: tuple[float, float] | None = None  # its 95% interval; None if it was known
     units: dict[str, str] = {}  # by the ending of a field's name
     distances_m: tuple[float, ...] = ()  # of each vehicle, in their order
-    measured: tuple[Measured, ...] = ()  # by each vehicle, in their order
+    measured: tuple[MeasuredBy, ...] = ()  # by each vehicle, in their order
     left: tuple[Left, ...] = ()  # who has left the search before its end, in the order in which they did
 
     @property
@@ -238,7 +238,7 @@ def outcome(
         units=dict(UNITS),
         distances_m=tuple(distances_m),
         measured=tuple(
-            Measured(number, len(points), max((point.reading for point in points), default=None))
+            MeasuredBy(number, len(points), max((point.reading for point in points), default=None))
             for number, points in enumerate(own, 1)
         ),
         left=tuple(left),

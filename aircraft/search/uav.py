@@ -34,7 +34,7 @@ from link.bus.inbox import Inbox
 from link.bus.keys import DEPARTURE, MAVLINK_IN, STOP, WAYPOINT
 from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, unpack_plan, unpack_waypoint
-from link.bus.messages import Departure, departure_text
+from link.bus.messages import Departure
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.bus.tally import FAULT
 from link.interrupts import uninterrupted
@@ -246,7 +246,6 @@ class Uav:
             return
         self._left.add(left.vehicle)
         self._sensor.leaves(left.vehicle, left.step)
-        self._log.info(departure_text(left))
         bus.publish(DEPARTURE, arrival.payload, arrival.attachment or None)
         if left.vehicle == bus.vehicle:
             self._search.leave(left.reason)

@@ -11,7 +11,7 @@ import msgspec
 from link.access.roles import MOST_VEHICLES, OF_ALL_VEHICLES, SERVICES
 from link.bus.inbox import MOST_OTHERS, WAITING_BYTES, WAITING_MESSAGES
 from link.bus.keys import BELIEF, HEALTH, KEYS, OF_A_VEHICLE, Key
-from link.bus.messages import RoundReading
+from link.bus.messages import Contribution, RoundReading, Stop
 from link.bus.opening import DEFAULT_ROUTER
 
 HEAD = f"""# The bus
@@ -89,19 +89,27 @@ belief and one stop. In it each vehicle has keys of its own below `uav/<number>`
 So the readings of vehicle 2 are on `search/1/uav/2/reading`, and the belief that takes them on `search/1/belief`. Messages are the same but for
 these:
 
-1. A **round** has one reading of each vehicle: round k has reading k of each, counted from 0 by the order of their times. The estimator takes a
-   round when the last of its readings has come, and then in the order of the vehicles. So neither speed nor delays change the order: it is
-   that of rounds, then of vehicles.
+1. A **round** has one reading of each vehicle that takes part in it: round k has reading k of each, counted from 0 by the order of their times.
+   The estimator takes a round when the last of its readings has come, and then in the order of the vehicles. So neither speed nor delays
+   change the order: it is that of rounds, then of vehicles.
 2. One **belief** answers a round. Its `readings` say whose and which; its own `time_boot_ms`, `position`, `altitude_m` and `gas` are the last
    vehicle's, and its `step` is the number of the round. Each vehicle has a clock of its own, so a `time_boot_ms` identifies a reading only
    together with its vehicle.
-3. One **waypoint** message answers a belief. It has a SET_POSITION_TARGET_LOCAL_NED for each vehicle, in their order, with the system id and the
-   `time_boot_ms` of its reading. A vehicle flies to its own, and knows from the others where all go.
-4. A reading that comes **late** holds up its round: the others wait where they are. It is never left out, nor taken in a later round; one from
+3. One **waypoint** message answers a belief. It has a SET_POSITION_TARGET_LOCAL_NED for each vehicle of the round, in their order, with the
+   system id and the `time_boot_ms` of its reading. A vehicle flies to its own, and knows from the others where all go.
+4. A reading that comes **late** holds up its round: the others wait where they are. It is never taken in a later round; one from
    before its vehicle's newest is refused as `late`. A vehicle publishes its reading again until it has a waypoint, as one alone does. The
    estimator repeats a belief for a vehicle whose newest reading has been answered; while a reading waits for its round, it has no answer.
 5. The search begins when estimator, agent and all vehicles are there, by their tokens: no vehicle takes off before.
-6. The stop is one, and ends the search of all.
+6. The stop is one, and ends the search of all. Its `measured` says who has measured what.
+7. A vehicle **leaves** when others wait for its reading, and it returns or has landed, or they have waited for `--overdue` seconds (20) of real
+   time, whatever the cause: no token, no value, a pilot. The estimator, which decides it, publishes a `departure`. Its `step` is the number of
+   the vehicle's readings that have come: the first round that it takes no part in. When it left is the only thing that a clock decides; all
+   that follows is a function of readings and departures, in whatever order these come.
+8. Who has left stays out: its readings from `step` on are refused as `left`, and the waypoints have none for it. A vehicle that hears of its own
+   departure does what `--after-stop` says, unless a pilot leads it. The departure brings the vehicle's readings, which may have died with it.
+   Each vehicle says a departure again that it hears, once, so that it outlives the estimator. An estimator that starts asks for those that
+   are kept before it takes a reading, and lets nobody leave in its first 5 s.
 
 `--secure` has no roles for a search of several yet.
 
@@ -139,6 +147,7 @@ A refused message is dropped. It never stops a service and never changes the bel
 | `absurd` | a gas value that the sensor cannot give, however strong the source; a wind above 120 m/s; an altitude beyond ±10 km |
 | `late` | a reading older than the newest one |
 | `conflicting` | a different reading with the newest one's time |
+| `left` | a reading of a vehicle that has left the search of several |
 | `repeated` | the newest reading again: it is not assimilated twice, but the belief is published again |
 | `overflow` | the oldest waiting message of a key, if more than {WAITING_MESSAGES:,} (in addition to the kept ones) or {MIB} MiB wait |
 | `fault` | a MAVLink message that the vehicle could not handle for a fault of its own |
@@ -273,6 +282,7 @@ def bus_document() -> str:
     """Return the whole page."""
     kinds = [key.payload for key in KEYS if not isinstance(key.payload, str)]
     kinds.insert(1, RoundReading)  # in a belief
+    kinds.insert(kinds.index(Stop) + 1, Contribution)
     messages = [_message(kind) for kind in kinds]
     return (
         HEAD

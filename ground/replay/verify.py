@@ -35,6 +35,7 @@ NEWER_FIELDS = (
     "wind_p_value",
     "intermittency",
     "advised_dwell",
+    "measured",
 )
 # Fields shown of a message that only one side has.
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}

@@ -153,6 +153,14 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = msgspec.UNSET
 
 
+class Contribution(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What one vehicle has measured, of several that have searched together."""
+
+    vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle in the search, from 1")]
+    readings: Annotated[int, Meta(ge=1, le=MOST, description="how many of its readings the belief has taken")]
+    largest: Annotated[float, Meta(description="the largest of them, in the sensor's unit")]
+
+
 class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The stop (Autonomous Goal Detection and Cessation, AGDC): a claim about where the source is."""
 
@@ -167,6 +175,13 @@ class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ]
     stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread"
     outside: Outside = 0.0
+    measured: Annotated[
+        tuple[Contribution, ...] | msgspec.UnsetType,
+        Meta(
+            description="of a search by several vehicles: what each that has read has measured, also those "
+            "that have left; absent with one vehicle"
+        ),
+    ] = msgspec.UNSET
 
 
 class Departure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -108,7 +108,8 @@ def test_a_round_is_answered_by_a_waypoint_for_each_vehicle_in_one_payload() -> 
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [
-        ({"vehicle": 3}, "not those of vehicles 1, 2 and so on"),
+        ({"vehicle": 1}, "of vehicles 1 1; wanted each once, in their order, up to 8"),
+        ({"vehicle": 9}, "of vehicles 1 9; wanted each once"),
         ({"system": 0}, "Expected `int` >= 1"),
         ({"time_boot_ms": 999}, "not that of the last reading of its round"),
         ({"position": [9.0, 41.0]}, "position (9.0, 41.0) is outside the area"),
@@ -121,7 +122,29 @@ def test_a_round_that_no_estimator_can_mean_is_refused(changed: dict[str, object
     assert len(bus.published) == 1
 
 
-def test_a_round_of_one_vehicle_is_refused() -> None:
-    round_of_one = RoundReading(1, 1, 1000, (3.0, 4.0), 5.0, 0.1)
-    bus = answered("homing", said(time_boot_ms=1000, readings=[msgspec.to_builtins(round_of_one)]), said())
-    assert "1 readings in a round" in bus.tally.last_error
+def test_who_is_left_is_planned_for_with_the_draws_of_its_own_number() -> None:
+    left = {**of_two(vehicle=3), "step": 7}
+    bus = answered("random", said(**left))
+    summary, _, attached = said(**left).partition(BETWEEN)
+    belief = msgspec.json.decode(summary, type=Belief)
+    particles = unpack_particles(attached, len(belief.unknowns))
+    places, gases, within = [(3.0, 4.0), (9.0, 4.0)], [0.1, 0.5], reach("random")
+    told = [(each.y, each.x) for each in unpack(bus.published[0][1])]
+    assert told == choose_all("random", belief, particles, 3, within, places, gases, 3.0, [1, 3])
+    assert any(
+        choose_all("random", belief, particles, seed, within, places, gases, 3.0, [1, 3])
+        != choose_all("random", belief, particles, seed, within, places, gases, 3.0)
+        for seed in range(9)
+    )
+
+
+def test_a_round_is_answered_although_the_clock_of_its_last_vehicle_is_behind_that_of_one_that_has_left() -> (
+    None
+):
+    """The time of a belief is that of the last vehicle of its round: it goes back when that has left."""
+    alone = msgspec.to_builtins(RoundReading(1, 5, 800, (3.0, 4.0), 5.0, 0.1))
+    after = said(time_boot_ms=800, step=3, position=[3.0, 4.0], gas=0.1, readings=[alone])
+    before = said(**of_two(), step=2)
+    bus = answered("homing", before, after, before, after)
+    frames = [unpack(answer) for _, answer, _ in bus.published]
+    assert [[each.time_boot_ms for each in told] for told in frames] == [[900, 1000], [800], [800]]

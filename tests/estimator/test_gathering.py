@@ -1,8 +1,9 @@
 """Protects the order of the readings of a search by several vehicles: by round, then by vehicle, whatever
-order they come in.
+order they come in; and who takes part in a round, whenever it is heard that a vehicle has left.
 """
 
 import itertools
+from collections.abc import Callable
 
 import msgspec
 import pytest
@@ -10,9 +11,10 @@ import pytest
 from estimator import service
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
-from link.bus.keys import BELIEF, READING
+from estimator.roll import Attendance
+from link.bus.keys import BELIEF, DEPARTURE, READING
 from link.bus.mavlink import Codec, Reading, pack_reading
-from link.bus.messages import Belief, pack_particles
+from link.bus.messages import Belief, Departure, Health, pack_particles
 from link.bus.session import Arrival
 from tests.fuzz.services import QuietBus, until_all_are_taken
 
@@ -111,3 +113,104 @@ def test_each_vehicle_keeps_the_system_id_of_its_first_reading() -> None:
 def test_a_belief_about_one_vehicle_does_not_speak_of_readings() -> None:
     bus = estimated(1, Arrival(READING, pack_reading(Codec(1, 1), taken(1, 0)), b""))
     assert b"readings" not in bus.published[0][1]
+
+
+# ---- vehicles that leave ----
+
+
+def departure(vehicle: int, step: int, *readings: Arrival) -> Arrival:
+    message = msgspec.json.encode(Departure(vehicle, step, "it returned"))
+    return Arrival(DEPARTURE, message, b"".join(each.payload for each in readings), name="departure")
+
+
+OF_THREE = [arrival(vehicle, number) for number in range(4) for vehicle in (1, 2, 3)]
+WITHOUT_3 = [each for k, each in enumerate(OF_THREE) if each.vehicle < 3 or k < 6]
+
+
+def test_rounds_are_of_those_that_are_left() -> None:
+    bus = estimated(3, *WITHOUT_3[:8], departure(3, 2), *WITHOUT_3[8:])
+    vehicles = [[taken.vehicle for taken in each.readings or ()] for each in said(bus)]
+    assert vehicles == [[1, 2, 3], [1, 2, 3], [1, 2], [1, 2]]
+    assert [each.step for each in said(bus)] == [0, 1, 2, 3]
+    assert "without uav/3" in bus.tally.about
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        lambda left: [left, *OF_THREE],  # first of all, though its readings are still to come
+        lambda left: [*WITHOUT_3[:2], left, *OF_THREE[2:]],
+        lambda left: [*OF_THREE[0::3], *OF_THREE[1::3], left, *OF_THREE[2::3]],  # all of one after the other
+        lambda left: [departure(3, 2, *OF_THREE[2:6:3]), *(each for each in OF_THREE if each.vehicle < 3)],
+    ],
+    ids=["first", "on the way", "last", "with the readings of one that is dead"],
+)
+def test_when_it_is_heard_that_a_vehicle_has_left_changes_nothing(order: Callable) -> None:
+    undisturbed = estimated(3, *WITHOUT_3[:8], departure(3, 2), *WITHOUT_3[8:]).published
+    published = estimated(3, *order(departure(3, 2))).published
+    assert [next(group) for _, group in itertools.groupby(published)] == undisturbed
+
+
+def test_a_reading_of_who_has_left_is_refused_and_the_first_one_told() -> None:
+    bus = estimated(3, departure(3, 2), *OF_THREE)
+    assert dict(bus.tally.refused) == {"left": 2}
+    assert bus.tally.last_error == "refused reading: uav/3 has left the search"
+
+
+def test_a_departure_that_cannot_be_is_refused() -> None:
+    bus = estimated(3, *OF_THREE, departure(3, 2), departure(4, 2), departure(2, 4), departure(2, 5))
+    assert dict(bus.tally.refused) == {"conflicting": 1, "other vehicle": 1}
+
+
+def test_the_last_one_that_is_left_searches_on_under_its_number() -> None:
+    alone = [arrival(2, number) for number in range(3)]
+    bus = estimated(3, departure(1, 0), departure(3, 0), *alone)
+    assert [[taken.vehicle for taken in each.readings or ()] for each in said(bus)] == [[2]] * 3
+
+
+def test_a_search_that_all_have_left_waits() -> None:
+    assert estimated(2, departure(1, 0), departure(2, 0), *IN_ORDER).published == []
+
+
+# ---- who holds up a round ----
+
+
+def health(state: str, last_error: str = "") -> Health:
+    return Health("uav", state, 3, 0.0, 9.0, {}, last_error=last_error)
+
+
+def test_who_holds_up_a_round_is_waited_for_and_then_leaves() -> None:
+    attendance = Attendance(20.0, present={1, 2}, health={2: health("searching", "Gas sensor silent")})
+    assert attendance.look(100.0, [2]) == []
+    assert attendance.look(119.9, [2]) == []
+    assert attendance.look(120.0, [2]) == [(2, "no reading for 20 s: Gas sensor silent")]
+
+
+def test_the_waiting_begins_anew_with_each_reading() -> None:
+    attendance = Attendance(20.0, present={1, 2})
+    assert attendance.look(100.0, [2]) == attendance.look(115.0, []) == attendance.look(116.0, [2]) == []
+    assert attendance.look(130.0, [2]) == []
+    assert attendance.look(136.0, [2])
+
+
+@pytest.mark.parametrize(
+    ("present", "state", "waited_s", "why"),
+    [
+        (True, "returning", 0.0, "Battery empty: landing"),  # it says so itself: nobody waits for it
+        (True, "landed", 0.0, "Battery empty: landing"),
+        (True, "paused", 19.0, None),  # a pilot may give it back
+        (True, "paused", 20.0, "paused for 20 s: Battery empty: landing"),
+        (False, "searching", 19.0, None),  # its link may come back
+        (False, "searching", 20.0, "gone from the bus for 20 s"),
+    ],
+)
+def test_why_it_leaves(present: bool, state: str, waited_s: float, why: str | None) -> None:
+    attendance = Attendance(20.0, {2} if present else set(), {2: health(state, "Battery empty: landing")})
+    attendance.look(0.0, [] if waited_s == 0.0 else [2])
+    assert attendance.look(waited_s, [2]) == ([(2, why)] if why else [])
+
+
+def test_an_estimator_that_is_told_who_leaves_lets_nobody_leave_by_itself() -> None:
+    attendance = Attendance(0.0, health={2: health("landed")})
+    attendance.look(0.0, [2])
+    assert attendance.look(1e6, [2]) == []
