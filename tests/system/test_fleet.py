@@ -117,6 +117,10 @@ def test_a_script_that_asks_for_too_many_vehicles_is_refused_with_the_line(
             "nine.yaml:3: fleet.vehicles: 9 is not allowed; wanted a whole number",
         ),
         ("fleet: {vehicles: 4, formation: edge, separation_m: 9}", "fleet.separation_m: 9 is not allowed"),
+        (
+            "{fleet: {vehicles: 2}, events: [{step: 1, do: return, vehicle: 3}]}",
+            "events[0].vehicle: 3 is not allowed; wanted 1 to 2",
+        ),
     ):
         path.write_text(text)
         status, _, err = run_sitl(monkeypatch, capsys, "fly", str(path))
