@@ -159,8 +159,8 @@ class Player:
             self._listen(time.monotonic() + max(SETTLE_S, 2 * self._slowest_s))
 
     def _publish(self, entry: Entry) -> None:
-        turn = self._source.turns.by_reading.get(entry.payload)
-        number = int(vehicle_of(entry.key) or 0) or (turn.vehicle if turn else self._last)
+        closing = self._source.turns.by_reading.get(entry.payload)
+        number = int(vehicle_of(entry.key) or 0) or (closing.vehicle if closing else self._last)
         key = VEHICLE_KEYS[row_name(entry.key)]
         self._bus.publish(key, entry.payload, entry.attachment or None, vehicle=number)
 
@@ -169,8 +169,8 @@ class Player:
     def _begin(self, reading: Entry, time_ms: int) -> None:
         """Expect the answers to a new reading."""
         self._reading, self._latest_ms = reading.payload, time_ms
-        if turn := self._source.turns.by_reading.get(reading.payload):
-            self._last = turn.vehicle
+        if closing := self._source.turns.by_reading.get(reading.payload):
+            self._last = closing.vehicle
         self._when = reading.published_ns, reading.simulation_s
         if self._first_ms < 0:
             self._first_ms = time_ms

@@ -357,8 +357,8 @@ def find(args: argparse.Namespace) -> tuple[Source, Rules | None]:
 
 
 def _time_of(entry: Entry, turns: Turns) -> int | None:
-    turn = turns.by_reading.get(entry.payload)
-    return turn.time_ms if turn else reading_time(entry)
+    closing = turns.by_reading.get(entry.payload)
+    return closing.time_ms if closing else reading_time(entry)
 
 
 def reading_time(entry: Entry) -> int | None:

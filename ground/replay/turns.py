@@ -21,7 +21,7 @@ from link.record.record import Entry
 Said = tuple[int, int]  # the system of a reading, and its time_boot_ms
 
 
-class Turn(NamedTuple):
+class Closing(NamedTuple):
     """A round, by the reading that closes it."""
 
     vehicle: int  # whose reading it is
@@ -32,10 +32,10 @@ class Turn(NamedTuple):
 class Turns:
     """The rounds of a record; none where nobody has left."""
 
-    by_reading: dict[bytes, Turn] = field(default_factory=dict)  # by the frames of the closing reading
+    by_reading: dict[bytes, Closing] = field(default_factory=dict)  # by the frames of the closing reading
     departures: tuple[Entry, ...] = ()  # the first that says of each vehicle that it has left
-    _by_said: dict[Said, Turn] = field(default_factory=dict)
-    _by_step: dict[int, Turn] = field(default_factory=dict)
+    _by_said: dict[Said, Closing] = field(default_factory=dict)
+    _by_step: dict[int, Closing] = field(default_factory=dict)
     _others: dict[bytes, frozenset[Said]] = field(default_factory=dict)  # the other readings of its round
 
     @classmethod
@@ -62,17 +62,17 @@ class Turns:
             if not (belief.readings and (entry := readings.get(each[-1]))):
                 continue
             latest = max(nearest(round(1000 * entry.simulation_s), each[-1][1]), latest + 1)
-            turn = Turn(belief.readings[-1].vehicle, latest)
-            turns.by_reading[entry.payload] = turns._by_said[each[-1]] = turns._by_step[step] = turn
+            closing = Closing(belief.readings[-1].vehicle, latest)
+            turns.by_reading[entry.payload] = turns._by_said[each[-1]] = turns._by_step[step] = closing
             turns._others[entry.payload] = frozenset(each[:-1])
         return turns
 
     def placed(self, answer: Answer, near_ms: float) -> Answer:
         """Return an answer with the time of its round; if that is not known, its own near to another, ms."""
-        turn = self._by_said.get((answer.system, answer.time_ms))
-        if turn is None and answer.kind == "stop" and isinstance(step := answer.fields.get("step"), int):
-            turn = self._by_step.get(step)
-        return answer.near(near_ms) if turn is None else answer._replace(time_ms=turn.time_ms)
+        closing = self._by_said.get((answer.system, answer.time_ms))
+        if closing is None and answer.kind == "stop" and isinstance(step := answer.fields.get("step"), int):
+            closing = self._by_step.get(step)
+        return answer.near(near_ms) if closing is None else answer._replace(time_ms=closing.time_ms)
 
     def named(self, entries: list[Entry]) -> list[Entry]:
         """Return messages with the plain name for the key of the readings that close a round."""

@@ -5,7 +5,7 @@ import json
 import msgspec
 import pytest
 
-from plume.outcome import TracePoint, gas_lines, outcome, outcome_json, outcome_text, verdict
+from plume.outcome import Left, TracePoint, gas_lines, outcome, outcome_json, outcome_text, verdict
 from plume.problem import AREA
 from plume.scenario import Scenario
 
@@ -110,6 +110,8 @@ def test_the_json_has_the_fields_that_others_rely_on() -> None:
         "rate_interval_gs",
         "units",
         "distances_m",
+        "measured",
+        "left",
         "trace",
     }
     assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}
@@ -206,3 +208,22 @@ def test_puffs_of_steady_gas_are_not_told() -> None:
     assert gas_lines({"downwind": (0.1, 0.2, 0.3), "puff-rate": (10.0, 20.0, 30.0)}, 0.0) == [
         "gas      is steady: cv 0.2 (0.1 to 0.3) near source"
     ]
+
+
+def test_the_lines_of_several_vehicles_say_who_measured_what_and_who_left_when_and_why() -> None:
+    trace = [
+        TracePoint((3.0, 4.0), 0.25, (5.0, 5.0), 1.0),
+        TracePoint((9.0, 4.0), 1.5, (5.0, 5.0), 1.0, vehicle=2),
+        TracePoint((3.0, 5.0), 0.75, (5.0, 5.0), 0.4),
+    ]
+    why = "no reading for 20 s: Gas sensor silent since the last of its values came"
+    left = [Left(3, 0, "was killed by signal 9"), Left(2, 1, why)]
+    result = outcome(1, "random", SCENARIO, trace, True, 0.1, "field", "spread:0.5", left=left)
+    assert outcome_text(result).splitlines()[-5:] == [
+        "uav/1    2 readings, at most 0.75",
+        "uav/2    1 reading, at most 1.5",
+        "         left at step 1: no reading for 20 s: Gas sensor si…",
+        "uav/3    0 readings",
+        "         left at step 0: was killed by signal 9",
+    ]
+    assert result.distances_m == (1.0, 0.0, 0.0)

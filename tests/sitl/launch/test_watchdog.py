@@ -170,3 +170,13 @@ def test_strangers_are_not_watched() -> None:
     flight.watchdog.heard("stranger", flight.now_s)
     assert flight.goes_on(100) == ""
     assert flight.said == []
+
+
+def test_a_vehicle_that_hangs_is_named_but_does_not_end_the_search_of_the_others() -> None:
+    flight = Flight(patience_s=12.0)
+    flight.watchdog.spare(["uav"])
+    flight.silent = {"uav"}
+    assert flight.goes_on(100) == ""
+    assert flight.said == ["warning: the uav has said nothing for 5 s"]
+    assert flight.watchdog.is_lost("uav", flight.now_s)
+    assert not flight.watchdog.is_lost("agent", flight.now_s)
