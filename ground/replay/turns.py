@@ -50,8 +50,8 @@ class Turns:
                     left = msgspec.json.decode(entry.payload, type=Departure)
                     departures.setdefault(left.vehicle, entry)
                 elif entry.key == BELIEF.name:
-                    said = msgspec.json.decode(entry.payload, type=Belief)
-                    beliefs.setdefault(said.step, said)
+                    belief = msgspec.json.decode(entry.payload, type=Belief)
+                    beliefs.setdefault(belief.step, belief)
         if not departures:
             return cls()
         turns = cls(departures=tuple(departures.values()))
@@ -59,12 +59,12 @@ class Turns:
         latest = -1
         for step, belief in sorted(beliefs.items()):
             each = [(one.system, one.time_boot_ms) for one in belief.readings or ()]
-            if not (belief.readings and (entry := readings.get(each[-1]))):
+            if not (belief.readings and (last := readings.get(each[-1]))):
                 continue
-            latest = max(nearest(round(1000 * entry.simulation_s), each[-1][1]), latest + 1)
+            latest = max(nearest(round(1000 * last.simulation_s), each[-1][1]), latest + 1)
             closing = Closing(belief.readings[-1].vehicle, latest)
-            turns.by_reading[entry.payload] = turns._by_said[each[-1]] = turns._by_step[step] = closing
-            turns._others[entry.payload] = frozenset(each[:-1])
+            turns.by_reading[last.payload] = turns._by_said[each[-1]] = turns._by_step[step] = closing
+            turns._others[last.payload] = frozenset(each[:-1])
         return turns
 
     def placed(self, answer: Answer, near_ms: float) -> Answer:

@@ -68,7 +68,7 @@ class History:
         """
         self.backdrop = backdrop  # as it is at first
         self._number = number
-        self._round = (number,)  # the numbers of those that took part in the newest round
+        self._round: tuple[int, ...] = (number,)  # the numbers of those that took part in the newest round
         self._beside: tuple[tuple[Point, float], ...] = ()  # what others read in the newest round
         self.own = OwnSystem()  # which system the vehicle is
         self.is_real = False  # whether a search flies a real autopilot: it speaks beside it, under its id
