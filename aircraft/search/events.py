@@ -54,19 +54,19 @@ class OfVehicle(ScriptEvent, frozen=True, kw_only=True):
     vehicle: VehicleNumber | None = None
 
 
-class Dropout(OfVehicle, frozen=True, kw_only=True, tag="dropout"):
+class Dropout(OfVehicle, frozen=True, tag="dropout"):
     """The sensor gives no value (NaN); the vehicle waits and tries again every second."""
 
     for_s: Annotated[float, Meta(gt=0, le=MOST, description="a number above 0: simulation time, s")]
 
 
-class Stuck(OfVehicle, frozen=True, kw_only=True, tag="stuck"):
+class Stuck(OfVehicle, frozen=True, tag="stuck"):
     """The sensor repeats its last value."""
 
     readings: Count
 
 
-class Spike(OfVehicle, frozen=True, kw_only=True, tag="spike"):
+class Spike(OfVehicle, frozen=True, tag="spike"):
     """A number is added to the sensor's readings."""
 
     gas: Annotated[
@@ -80,32 +80,32 @@ class Spike(OfVehicle, frozen=True, kw_only=True, tag="spike"):
     readings: Count = 1
 
 
-class Duplicate(OfVehicle, frozen=True, kw_only=True, tag="duplicate"):
+class Duplicate(OfVehicle, frozen=True, tag="duplicate"):
     """Each reading is published `copies` more times."""
 
     readings: Count
     copies: Annotated[int, Meta(ge=1, le=100)] = 1
 
 
-class Delay(OfVehicle, frozen=True, kw_only=True, tag="delay"):
+class Delay(OfVehicle, frozen=True, tag="delay"):
     """Readings arrive late."""
 
     readings: Count
     by_s: Annotated[float, Meta(gt=0, le=60, description="a number above 0 up to 60: real time, s")]
 
 
-class Lose(OfVehicle, frozen=True, kw_only=True, tag="lose"):
+class Lose(OfVehicle, frozen=True, tag="lose"):
     """Each reading is lost `times` times on its way; the vehicle publishes it again until it is answered."""
 
     readings: Count
     times: Annotated[int, Meta(ge=1, le=100)] = 1
 
 
-class Hold(OfVehicle, frozen=True, kw_only=True, tag="hold"):
+class Hold(OfVehicle, frozen=True, tag="hold"):
     """The operator makes the vehicle hold its position."""
 
 
-class Resume(OfVehicle, frozen=True, kw_only=True, tag="resume"):
+class Resume(OfVehicle, frozen=True, tag="resume"):
     """The operator resumes the search; `after_s` counts from the last hold."""
 
     after_s: TimeS | None = None
@@ -118,11 +118,11 @@ class Resume(OfVehicle, frozen=True, kw_only=True, tag="resume"):
             )
 
 
-class Return(OfVehicle, frozen=True, kw_only=True, tag="return"):
+class Return(OfVehicle, frozen=True, tag="return"):
     """The operator calls the vehicle home, where it lands."""
 
 
-class Land(OfVehicle, frozen=True, kw_only=True, tag="land"):
+class Land(OfVehicle, frozen=True, tag="land"):
     """The operator makes the vehicle land where it is."""
 
 

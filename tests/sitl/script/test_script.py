@@ -167,7 +167,7 @@ MISTAKES = {
     (
         "do: wind, phi: 2",
         "do: stuck, reading: 2",
-    ): "9: events[0].reading: unknown field; did you mean 'readings'? Allowed: do, readings, step, time_s",
+    ): "9: events[0].reading: unknown field; did you mean 'readings'? Allowed: do, readings, step, time_s, vehicle",
     (
         "{step: 30, do: wind, phi: 2}",
         "hold",
@@ -255,7 +255,7 @@ def test_of_several_mistakes_the_first_is_told_but_a_wrong_name_before_the_one_t
     path.write_text("events:\n- step: 1\n  do: stuck\n  reading: 3\nexpect: [lost]\nseed: x\n")
     with pytest.raises(
         BadInput,
-        match=r"mission.yaml:4: events\[0\].reading: unknown field; did you mean 'readings'\? Allowed: do, readings, step, time_s$",
+        match=r"mission.yaml:4: events\[0\].reading: unknown field; did you mean 'readings'\? Allowed: do, readings, step, time_s, vehicle$",
     ):
         load(path)
 
