@@ -84,6 +84,7 @@ class Backdrop:
     title: str = ""  # words for people: the policy, the seed; empty if unknown
     release: Release | None = None  # None: a real flight, or a simulation whose truth is not told
     walls: tuple[tuple[Point, ...], ...] = ()  # outlines of buildings and keep-outs, as far as known
+    fence: tuple[Point, ...] = ()  # the polygon that no way leaves; empty: the area's edge
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +160,6 @@ class Measurement:
     effective_sample_size: float = math.nan
     outside: float = 0.0  # share of the belief outside the area
     measured_wind: Point | None = None  # with the reading: points to where it comes from, m/s
-    # Place and gas of the readings that other vehicles of the search took in the same round.
-    others: tuple[tuple[Point, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -136,8 +136,11 @@ def test_all_vehicles_are_on_the_map_with_their_names(stage: Stage, window: Wind
 def test_walls_and_home_are_drawn(stage: Stage, look: Callable[..., Window]) -> None:
     made = scene()
     walls = (((24.0, 2.0), (28.0, 2.0), (28.0, 6.0), (24.0, 6.0)),)
-    stage.enter(replace(made, backdrop=replace(made.backdrop, walls=walls)))
+    fence = ((1.0, 1.0), (29.0, 1.0), (29.0, 29.0), (1.0, 29.0))
+    stage.enter(replace(made, backdrop=replace(made.backdrop, walls=walls, fence=fence)))
     window = drawn(look(stage.address))
+    assert window.count("ink", (28.7, 10.0, 29.3, 16.0)) > 30
+    assert not window.page.locator(".of-fence").is_hidden()
     inside, outside = (sum(window.pixel(*place)) for place in ((25.7, 4.3), (21.7, 4.3)))
     assert inside < outside - 100
     assert window.count("ink", (-0.4, -0.4, 0.4, 0.4)) > 15

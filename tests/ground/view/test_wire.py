@@ -170,10 +170,13 @@ def test_a_vehicle_aside_is_sent_without_particles_and_with_them_once_it_is_in_t
 
 
 def test_walls_are_sent_once() -> None:
-    walled = replace(SCENE, backdrop=replace(SCENE.backdrop, walls=(((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),)))
+    wall = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
+    walled = replace(SCENE, backdrop=replace(SCENE.backdrop, walls=(wall,), fence=wall))
     cursor = Sent()
-    assert sent(walled, cursor)[0]["walls"] == [[[0, 0], [1, 0], [1, 1]]]
-    assert sent(walled, cursor)[0]["walls"] is None
+    header, _ = sent(walled, cursor)
+    assert (header["walls"], header["fence"]) == ([[[0, 0], [1, 0], [1, 1]]], [[0, 0], [1, 0], [1, 1]])
+    header, _ = sent(walled, cursor)
+    assert (header["walls"], header["fence"]) == (None, None)
 
 
 def test_the_truth_is_sent_once_and_only_when_asked_for() -> None:
