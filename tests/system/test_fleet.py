@@ -2,12 +2,15 @@
 process that stays behind.
 """
 
+import csv
 import json
+import math
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ import numpy as np
 import pytest
 
 from agent.trials.rollout import rollout
+from ground.view.records import RecordedFleet
 from link.bus.keys import BELIEF, HEALTH, STOP
 from link.bus.mavlink import unpack_reading
 from link.bus.messages import Belief, Health, RoundReading, Stop, by_vehicle, pack_particles
@@ -23,6 +27,7 @@ from link.bus.session import Bus, part_of
 from link.record.reader import read
 from plume.randomness import derived_seed
 from plume.scenario import draw
+from scene.follow.history import histories_of
 from tests.system.conftest import Part
 from tests.system.live import run_agent, run_sitl
 from tests.system.pages import Browser, port_of
@@ -351,6 +356,41 @@ def test_a_log_and_findings_have_all_readings_and_all_metres(
         monkeypatch, capsys, "findings", str(recorded), "--out", str(tmp_path / "found")
     )
     assert status == 0, err
-    rows = (tmp_path / "found" / "readings.csv").read_text().splitlines()
-    assert len(rows) == 1 + 10
+    rows = list(csv.DictReader((tmp_path / "found" / "readings.csv").read_text().splitlines()))
+    assert [row["vehicle"] for row in rows] == ["1", "2"] * 5
+    found = json.loads((tmp_path / "found" / "findings.json").read_text())
+    ways = [
+        [(float(row["x_m"]), float(row["y_m"])) for row in rows if row["vehicle"] == vehicle]
+        for vehicle in ("1", "2")
+    ]
+    flown_m = sum(math.dist(a, b) for way in ways for a, b in pairwise(way))
+    assert (found["vehicles"], found["distance_m"]) == (2, pytest.approx(flown_m))
+    features = json.loads((tmp_path / "found" / "findings.geojson").read_text())["features"]
+    tracks = [each for each in features if each["properties"]["kind"] == "track"]
+    assert [each["properties"]["vehicle"] for each in tracks] == [1, 2]
+    page = (tmp_path / "found" / "findings.html").read_text()
+    assert "5 readings of each of 2 vehicles" in page
+    assert ">uav/1</text>" in page and ">uav/2</text>" in page
     assert run_sitl(monkeypatch, capsys, "draw", str(recorded), "--out", str(tmp_path / "two.png"))[0] == 0
+
+
+def test_a_record_tells_of_each_vehicle_on_one_clock(recorded: Path) -> None:
+    one, two = histories_of(read(recorded), "two")
+    assert [one.backdrop.vehicle, two.backdrop.vehicle] == ["two uav/1", "two uav/2"]
+    assert [len(each.measurements.values) for each in (one, two)] == [5, 5]
+    for first, second in zip(one.measurements.values, two.measurements.values, strict=True):
+        assert (first.estimate, first.time_s) == (second.estimate, second.time_s)
+        assert first.position != second.position
+        for history, measured in ((one, first), (two, second)):  # a vehicle is where it has read
+            craft = history.at(measured.time_s).craft
+            assert craft is not None
+            assert math.dist(craft.position, measured.position) < 1.1
+
+
+def test_the_page_of_a_record_has_each_vehicle_and_shows_the_search_once(recorded: Path) -> None:
+    fleet = RecordedFleet([recorded, recorded])
+    rows = [vehicle.entry() for vehicle in fleet.vehicles.values()]
+    assert [(row["name"], row["search"]) for row in rows] == [
+        *(("two uav/1", "two"), ("two uav/2", "two")),
+        *(("two (2) uav/1", "two (2)"), ("two (2) uav/2", "two (2)")),
+    ]
