@@ -370,7 +370,7 @@ def test_a_log_and_findings_have_all_readings_and_all_metres(
     assert [each["properties"]["vehicle"] for each in tracks] == [1, 2]
     page = (tmp_path / "found" / "findings.html").read_text()
     assert "5 readings of each of 2 vehicles" in page
-    assert ">uav/1</text>" in page and ">uav/2</text>" in page
+    assert page.count(">uav/1</text>") == page.count(">uav/2</text>") >= 1
     assert run_sitl(monkeypatch, capsys, "draw", str(recorded), "--out", str(tmp_path / "two.png"))[0] == 0
 
 
