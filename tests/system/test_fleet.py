@@ -17,6 +17,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from agent.trials.rollout import rollout
 from ground.view.records import RecordedFleet
@@ -372,6 +373,18 @@ def test_a_log_and_findings_have_all_readings_and_all_metres(
     assert "5 readings of each of 2 vehicles" in page
     assert page.count(">uav/1</text>") == page.count(">uav/2</text>") >= 1
     assert run_sitl(monkeypatch, capsys, "draw", str(recorded), "--out", str(tmp_path / "two.png"))[0] == 0
+
+
+def test_viewers_find_each_vehicle_in_a_record_and_once_what_they_share(recorded: Path) -> None:
+    with recorded.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        topics = {channel.topic for channel in summary.channels.values()}
+    own = {f"scene/{name}" for name in ("vehicle", "path", "readings", "waypoint", "transforms", "state")}
+    shared = {f"scene/{name}" for name in ("particles", "estimate", "area", "plume", "source")}
+    assert own | shared <= topics
+    assert {f"uav/2/{topic}" for topic in own} <= topics
+    assert not {f"uav/2/{topic}" for topic in shared} & topics
 
 
 def test_a_record_tells_of_each_vehicle_on_one_clock(recorded: Path) -> None:
