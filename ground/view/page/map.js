@@ -41,7 +41,7 @@ export class WorldMap {
     if (this.ratio !== (devicePixelRatio || 1)) this.resize();
     if (!this.width || !scene) return;
     Object.assign(this, { model, others });
-    const view = this.view = this.camera.view(scene, others.map((other) => placeOf(scene, other.scene)), this.width, this.height);
+    const view = this.view = this.camera.view(scene, others.flatMap((other) => placesOf(model, other)), this.width, this.height);
     const g = this.canvas.getContext("2d");
     g.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     g.font = FONT;
@@ -165,6 +165,13 @@ function placeOf({ home }, { craft, home: its }) {
   if (!isPlaced(craft)) return null;
   const [east, north] = away(home, its);
   return { x: craft.x + east, y: craft.y + north };
+}
+
+/** What should be seen of another model on the map of this one: the vehicle, and the area where that is another. */
+function placesOf({ scene, search }, other) {
+  const [east, north] = away(scene.home, other.scene.home), area = extent(other.scene);
+  const corners = other.search === search ? [] : [{ x: area.west + east, y: area.south + north }, { x: area.east + east, y: area.north + north }];
+  return [placeOf(scene, other.scene), ...corners];
 }
 
 /** What the map shows, for who cannot see it. */

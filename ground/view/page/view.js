@@ -52,7 +52,7 @@ export class Camera {
     this.scale = 1;
   }
 
-  /** The view of a scene in a window of px; `others`: the places {x, y} of vehicles that are shown beside it. */
+  /** The view of a scene in a window of px; `others`: places {x, y} of what is shown beside it. */
   view(scene, others, width, height) {
     const room = { left: LEFT, top: TOP, width: Math.max(60, width - LEFT - RIGHT), height: Math.max(60, height - TOP - BOTTOM) };
     this.room = room;
