@@ -98,6 +98,9 @@ class Condition:
     placed: bool | None = None  # whether its estimator stands by the position
     wind: tuple[float, float] | None = None  # as it estimates it: points to where it comes from, m/s
     lost: float | None = None  # share of what was sent to it that did not arrive whole, 0 to 1
+    # Signal strength at the ground's end of its radio link and at its own, 0 to 254 in the radio's units; NaN
+    # if that end does not tell. None without RADIO_STATUS.
+    radio: tuple[float, float] | None = None
 
     @property
     def health(self) -> str:

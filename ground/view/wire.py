@@ -137,6 +137,7 @@ def _craft(craft: Craft) -> dict[str, Any]:
         "gps": it.gps,
         "health": it.health,
         "lost": it.lost,
+        "radio": it.radio,
     }
 
 

@@ -22,7 +22,7 @@ from scene.follow.area import HEARTBEAT, PLACING, AreaFrame, Fix
 from scene.follow.believed import gauge_of, measured, scatter
 from scene.follow.described import WindTurn, backdrop_of, turns_of
 from scene.follow.parts import LONGEST, Parts
-from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, frames, level_of, seen, waypoint
+from scene.follow.telemetry import LOCAL, RADIO, SETPOINT, SHOWN, TEXT, frames, level_of, seen, waypoint
 from scene.follow.timed import MOST, Timed, Trail
 from scene.scene import (
     INFO,
@@ -169,22 +169,27 @@ class History:
         self._parts.lives(service, alive, self.time_s, wall_s)
 
     def _counts(self, frame: Frame) -> bool:
-        """Whether a frame is the vehicle's own, or one of the search that flies it."""
-        return self.own.sent(frame) or (frame.message_id in (TEXT, HEARTBEAT) and self.own.searched(frame))
+        """Whether a frame is the vehicle's own, of its radio, or one of the search that flies it."""
+        return (
+            self.own.sent(frame)
+            or frame.message_id == RADIO
+            or (frame.message_id in (TEXT, HEARTBEAT) and self.own.searched(frame))
+        )
 
     def _take_telemetry(self, payload: bytes, time_s: float) -> bool:
-        before, changed = self.craft, False
+        before, changed, heard = self.craft, False, False
         for frame, fields in frames(payload, SHOWN, self._counts):
             changed, is_own = True, self.own.sent(frame)
+            heard |= frame.message_id != RADIO
             if frame.message_id == HEARTBEAT:
                 self.is_real |= not is_own or fields["autopilot"] == ARDUPILOT
             if frame.message_id == TEXT:
                 who = "uav" if is_own else "search"
                 if text := self._texts[who].joined(fields["text"], fields["id"], fields["chunk_seq"]):
                     self._happened(time_s, level_of(fields["severity"]), who, text)
-            elif is_own:
+            elif is_own or frame.message_id == RADIO:
                 self._take_own(frame.message_id, fields, time_s)
-        self._heard_s = self.wall_s if changed else self._heard_s
+        self._heard_s = self.wall_s if heard else self._heard_s
         if self.craft and self.craft is not before:
             self._crafts.add(time_s, self.craft)
         return changed

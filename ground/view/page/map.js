@@ -65,7 +65,7 @@ export class WorldMap {
     const { scene } = model;
     if (scene.truth && model.plume) this.drawPlume(g, view, scene, model);
     const beside = others.map((one) => [one, moved(view, away(scene.home, one.scene.home))]); // each from its own home
-    for (const [one, its] of beside.filter(([{ search }]) => search !== model.search)) {
+    for (const [one, its] of beside.filter(([other]) => isElsewhere(model, other))) {
       draw.edge(g, its, one.scene);
       draw.walls(g, its, one.walls);
       draw.fence(g, its, one.fence);
@@ -167,10 +167,15 @@ function placeOf({ home }, { craft, home: its }) {
   return { x: craft.x + east, y: craft.y + north };
 }
 
+/** Whether another model searches an area that is not this one's. */
+function isElsewhere({ scene, search }, other) {
+  return other.search !== search && (away(scene.home, other.scene.home).some(Boolean) || String(other.scene.area) !== String(scene.area));
+}
+
 /** What should be seen of another model on the map of this one: the vehicle, and the area where that is another. */
 function placesOf({ scene, search }, other) {
   const [east, north] = away(scene.home, other.scene.home), area = extent(other.scene);
-  const corners = other.search === search ? [] : [{ x: area.west + east, y: area.south + north }, { x: area.east + east, y: area.north + north }];
+  const corners = !isElsewhere({ scene, search }, other) ? [] : [{ x: area.west + east, y: area.south + north }, { x: area.east + east, y: area.north + north }];
   return [placeOf(scene, other.scene), ...corners];
 }
 

@@ -22,7 +22,15 @@ def measurement(step: int, gas: float = 0.5) -> Measurement:
     return Measurement(step, 10.0 + step, (1.0 + step, 2.0), gas, 3.0, (5.0, 6.0), (4.0, 0.0, 1.0))
 
 
-UNSAID = {"battery": None, "volts": None, "gps": "", "health": "", "speed_mps": None, "lost": None}
+UNSAID = {
+    "battery": None,
+    "volts": None,
+    "gps": "",
+    "health": "",
+    "speed_mps": None,
+    "lost": None,
+    "radio": None,
+}
 SCENE = Scene(
     Backdrop("uav/1", AREA, "homing, seed 1", RELEASE),
     time_s=12.5,
