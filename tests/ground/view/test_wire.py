@@ -225,7 +225,7 @@ def test_a_vehicle_that_has_not_said_where_it_is_has_no_place_yet_but_a_mode() -
 
 
 def test_what_the_vehicle_says_of_itself_is_sent() -> None:
-    condition = Condition(battery=0.5, volts=15.1, gps="no fix", ailing=("gps",), placed=False)
+    condition = Condition(0.5, 15.1, "no fix", ("gps",), placed=False, radio=(180.0, math.nan))
     craft = sent(replace(SCENE, craft=Craft(0.0, (1.0, 2.0), condition=condition)), Sent())[0]["craft"]
     assert {name: craft[name] for name in UNSAID} == {
         "speed_mps": None,
@@ -234,4 +234,5 @@ def test_what_the_vehicle_says_of_itself_is_sent() -> None:
         "gps": "no fix",
         "health": "not healthy: gps, position",
         "lost": None,
+        "radio": [180.0, None],
     }
