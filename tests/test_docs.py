@@ -152,7 +152,7 @@ STAYS = {
     "plumeward uav --vehicles 2 --number 2 -I 1 --from corners --seed 4 --connect tcp/127.0.0.1:7447": "agent: ",
     "plumeward view --connect tcp/127.0.0.1:7447": "page at http://127.0.0.1:",
     "plumeward status --watch --connect tcp/127.0.0.1:7447": "uav/2 at tcp/",
-    "plumeward fly --vehicle serial:/dev/ttyAMA0:921600 --payload serial:/dev/ttyUSB0:9600 --sensor gaussian:0.3,0.02 --dwell 2 --record flight.mcap --findings flight-findings --view": "Waiting for the autopilot: no HEARTBEAT",
+    "plumeward fly --vehicle serial:/dev/ttyAMA0:921600 --payload serial:/dev/ttyUSB0:9600 --sensor gaussian:0.3,0.02 --dwell 2 --record site.mcap --findings flight-findings --view": "Waiting for the autopilot: no HEARTBEAT",
     "plumeward record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
     "plumeward fly --seed 11 --view": "page stays open at",
     "plumeward fly --view": "page stays open at",
