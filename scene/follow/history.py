@@ -43,6 +43,7 @@ from scene.scene import (
 TRACK_STEP_M = 0.1  # the track gets a point when the vehicle has moved this far
 FIRST = 1  # of several vehicles that search together, the one that is followed as a rule
 RESTART_MS = 1000  # a vehicle whose own time goes back by more was started again
+TICK_S = 1e-6  # least time between two messages of a search by several
 NOWHERE = math.nan, math.nan
 
 
@@ -342,11 +343,13 @@ def vehicles_of(recording: Recording) -> list[int]:
 def on_one_clock(recording: Recording) -> list[Entry]:
     """Return the messages in the order of publication; all vehicles have the clock of the last one.
 
-    Each has a clock of its own, by which one that waits for the others in a fast simulation is earlier.
+    Each has a clock of its own, by which one that waits for the others in a fast simulation is earlier. While
+    the last one's stands still, each message is a little later than the one before it.
     """
     entries = sorted(recording.entries, key=lambda entry: entry.published_ns)
     last, now_s = vehicles_of(recording)[-1:], 0.0
     for i, entry in enumerate(entries if last else ()):
+        now_s += TICK_S
         if entry.key in (BELIEF.name, STOP.name) or vehicle_of(entry.key) == str(last[0]):
             now_s = max(now_s, entry.simulation_s)
         entries[i] = entry._replace(simulation_s=now_s)
