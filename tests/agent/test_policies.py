@@ -494,6 +494,7 @@ def test_a_bundle_flies_the_same_over_the_bus(tmp_path: Path, schema: str, move:
     assert len(over_the_bus["trace"]) == 11
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_a_policy_of_another_package_is_evaluated_by_all_workers(tmp_path: Path, packages: Path) -> None:
     chosen = (
@@ -531,6 +532,7 @@ def test_a_package_that_does_not_fit_is_refused_before_anything_flies(
         assert words in said
 
 
+@pytest.mark.full
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "words"),

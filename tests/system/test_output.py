@@ -112,7 +112,11 @@ def test_a_failure_of_something_else_is_no_silent_end(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "result"),
-    [("rollout", "not ceased"), ("evaluate", "space-aware-infotaxis  "), ("log", "longest pause, s")],
+    [
+        ("rollout", "not ceased"),
+        pytest.param("evaluate", "space-aware-infotaxis  ", marks=pytest.mark.full),
+        ("log", "longest pause, s"),
+    ],
 )
 def test_results_go_to_stdout_and_with_json_only_the_json(
     monkeypatch: pytest.MonkeyPatch,
@@ -134,6 +138,7 @@ def test_results_go_to_stdout_and_with_json_only_the_json(
     assert result in "\n".join(err)
 
 
+@pytest.mark.full
 def test_a_file_holds_the_whole_table_and_the_progress_is_not_in_it(tmp_path: Path) -> None:
     done = ended(*EVALUATE, "--threshold", "0.5,2", cwd=tmp_path, stdout=subprocess.PIPE)
     caption, heads, *rows = done.stdout.splitlines()
@@ -156,6 +161,7 @@ def test_a_file_holds_the_whole_table_and_the_progress_is_not_in_it(tmp_path: Pa
     assert done.stderr.splitlines()[0] == "starting 1 worker for 4 missions"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "columns", [60, *(pytest.param(columns, marks=pytest.mark.full) for columns in (40, 80, 100, 200))]
 )
