@@ -51,7 +51,6 @@ RELIED_ON = {
     "README.md: make mission",
     "README.md: plumeward fly --seed 11 --view",
     "README.md: plumeward rollout --seed 4 --policy infotaxis --world wind-30 --assume paper",
-    "docs/records.md: plumeward replay runs/NAME.mcap --verify --speedup 0",
     "docs/services.md: plumeward router --listen tcp/127.0.0.1:7447",
 }
 """What `make test` runs, beside all that prints help: a page, and the first command of a block. `make

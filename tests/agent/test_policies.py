@@ -514,6 +514,7 @@ def test_a_policy_of_another_package_is_evaluated_by_all_workers(tmp_path: Path,
     assert json.loads(done.stdout.splitlines()[-1])["drawn"]["missions"] == 3
 
 
+@pytest.mark.full
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "words"),

@@ -219,6 +219,7 @@ def test_a_part_that_dies_is_named_and_ends_the_mission(
     assert nothing_is_left(pids)
 
 
+@pytest.mark.full
 def test_a_recorder_that_dies_is_told_and_the_mission_goes_on(
     start, family, wait_until: Callable, tmp_path: Path
 ) -> None:

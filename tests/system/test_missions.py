@@ -291,6 +291,7 @@ def wrong(tmp_path_factory: pytest.TempPathFactory) -> Flown:
     return flown(tmp_path_factory.mktemp("wrong"), script)
 
 
+@pytest.mark.full
 def test_a_scenario_that_is_given_is_the_one_that_is_flown(wrong: Flown) -> None:
     assert wrong.result["source"] == [20.5, 11.25]
     assert wrong.result["scenario"] == RELEASE | {"u": 1.4 * 2}  # as it was at the start
