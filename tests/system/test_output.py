@@ -56,7 +56,7 @@ def ended(*arguments: str, cwd: Path, **streams: object) -> subprocess.Completed
         pytest.param(
             name,
             unbuffered,
-            marks=() if (name, unbuffered) in (("log", ""), ("evaluate", "1")) else pytest.mark.full,
+            marks=() if (name, unbuffered) in (("log", ""), ("log", "1")) else pytest.mark.full,
         )
         for name in COMMANDS
         for unbuffered in ("", "1")
@@ -90,10 +90,7 @@ def test_a_reader_who_leaves_stderr_and_stdout_ends_a_command_as_well(tmp_path: 
 
 @pytest.mark.parametrize(
     "name",
-    [
-        name if name in ("log", "evaluate") else pytest.param(name, marks=pytest.mark.full)
-        for name in COMMANDS
-    ],
+    [name if name == "log" else pytest.param(name, marks=pytest.mark.full) for name in COMMANDS],
 )
 def test_a_full_disk_is_one_line_and_status_1(name: str, tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
