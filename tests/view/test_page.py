@@ -640,6 +640,7 @@ def test_all_is_reached_by_keyboard_and_the_focus_is_seen(window: Window) -> Non
     assert window.of("plumeward.answers[0].command") == "hold"
 
 
+@pytest.mark.full
 def test_always_the_newest_and_never_a_backlog(stage: Stage, window: Window) -> None:
     actor = stage.vehicles["uav/1"]
     for step in range(6, 206):  # faster than anyone can draw

@@ -238,6 +238,7 @@ def test_events_are_marked_on_the_time_axis_and_say_what_they_are(window: Window
     assert box["x"] + box["width"] / 2 == pytest.approx(plot["x"] + left, abs=3)
 
 
+@pytest.mark.full
 def test_further_charts_are_one_click_away(window: Window) -> None:
     assert window.page.locator(".chart").count() == 2
     window.page.locator(".more summary").click()

@@ -242,6 +242,7 @@ def test_ground_stations_may_share_an_id() -> None:
     assert net.says(DRONE, BUS, QGC, out=True).links == (A, B)
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_forged_ids_and_floods_fill_no_memory() -> None:
     net = Net(A, B)
