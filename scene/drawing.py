@@ -26,7 +26,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLoca
 from numpy.typing import NDArray
 
 from plume.problem import Area
-from scene.scene import Release, Scatter, Scene, WindShift, ellipse, turns
+from scene.scene import Measurement, Release, Scatter, Scene, WindShift, ellipse, turns
 
 # Settings of matplotlib while a picture is made and saved.
 STYLE: Any = {
@@ -56,9 +56,12 @@ PLUME = LinearSegmentedColormap.from_list(
 ).with_extremes(bad="#ffffff")
 INK = "#222222"
 WALL = "#cfcfcf"  # buildings
+# Of the ways and the gas of several vehicles: the second's, the third's, …; the first's is INK.
+OTHERS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#a6761d", "#882255")
 # Colours of the beliefs shown, of Okabe and Ito's palette but for the last.
 BELIEFS = ("#56b4e9", "#009e73", "#0072b2", "#cc79a7", "#882255")
 PATH: dict[str, Any] = {"color": INK, "linewidth": 1.2}
+CURVE: dict[str, Any] = PATH | {"marker": ".", "markersize": 4, "animated": True}
 START: dict[str, Any] = {
     "marker": "o",
     "markersize": 7,
@@ -176,6 +179,38 @@ class _Cloud:
         self.gas.set_data(*([last.step], [last.gas]) if last else ([], []))
 
 
+class _Vehicle:
+    """One vehicle in its colour: its way and its start on the map, and the gas that it has read."""
+
+    def __init__(self, drawing: "Drawing", colour: str, name: str) -> None:
+        self.colour = colour
+        line = PATH | {"color": colour, "animated": True}
+        (self.path,) = drawing.map.plot([], [], zorder=2.5, label="path", **line)
+        (self._start,) = drawing.map.plot([], [], color=colour, animated=True, **START)
+        (self._craft,) = drawing.map.plot([], [], zorder=6, animated=True, **VEHICLE)
+        (self.gases,) = drawing.gas.plot([], [], **CURVE | {"color": colour})
+        self._name = drawing.map.annotate(
+            name, (0, 0), (6, 6), textcoords="offset points", color=colour, size=9, zorder=6, animated=True
+        )
+
+    def show(self, scene: Scene, *, crafts: bool) -> None:
+        """Show a scene of it; crafts: with the vehicle where it is."""
+        taken = scene.measurements
+        places = np.array([it.position for it in taken], np.float64).reshape(-1, 2)
+        self.path.set_data(*places.T)
+        self._start.set_data(*places[:1].T)
+        self.gases.set_marker(_dot(taken))
+        self.gases.set_data([it.step for it in taken], [it.gas for it in taken])
+        shown = scene.craft if crafts else None
+        self._craft.set_data(*([shown.position[0]], [shown.position[1]]) if shown else ([], []))
+        if shown:
+            self._craft.set_marker(_nose(shown.heading))
+        at = shown.position if shown else places[0] if len(places) else None
+        self._name.set_visible(at is not None and bool(np.isfinite(at).all()))
+        if at is not None:
+            self._name.xy = float(at[0]), float(at[1])
+
+
 class _TurnedWind:
     """One turn of the wind: two arrows at its place, before and after, and a line in the charts."""
 
@@ -220,13 +255,17 @@ class Drawing:
     What does not change is drawn once.
     """
 
-    def __init__(self, scene: Scene, beliefs: Sequence[Scene] = (), steps: int = 20) -> None:
+    def __init__(
+        self, scene: Scene, beliefs: Sequence[Scene] = (), steps: int = 20, beside: Sequence[Scene] = ()
+    ) -> None:
         """Draw what does not change.
 
         beliefs: for print, up to 5 scenes whose newest beliefs are shown; else each scene's own belief is,
         with the vehicle. The charts begin with room for `steps`.
+        beside: the scenes of the other vehicles of the search.
         """
         self._backdrop = scene.backdrop
+        self._names = [it.backdrop.vehicle for it in (scene, *beside)]
         self._is_print = bool(beliefs)
         # Of the charts: steps, gas below 0, gas; and of the map, m around the area.
         self._room = [float(max(steps, 1)), 0.5, 10.0, 0.0]
@@ -248,11 +287,14 @@ class Drawing:
             said = [it.measurements[-1].step for it in beliefs if it.measurements]
             self._lay_legend([f" at step {step}" for step in said] or [""])
 
-    def show(self, scene: Scene) -> "Drawing":
-        """Show a scene; returns itself."""
+    def show(self, scene: Scene, beside: Sequence[Scene] = ()) -> "Drawing":
+        """Show a scene, and those of the other vehicles of the search; returns itself."""
         with matplotlib.rc_context(STYLE):
-            self._make_room(scene)
-            self._show_path(scene)
+            self._make_room(scene, beside)
+            self._show_readings([scene, *beside])
+            for vehicle, its in zip(self.vehicles, (scene, *beside), strict=True):
+                vehicle.show(its, crafts=not self._is_print)
+            self._show_search(scene)
             self._show_wind(scene)
             if not self._is_print:
                 self._clouds[0].show(scene)
@@ -296,6 +338,8 @@ class Drawing:
         )
         for outline in self._backdrop.walls:
             self.map.fill(*np.array(outline).T, facecolor=WALL, edgecolor=INK, linewidth=0.8, zorder=1)
+        if fence := self._backdrop.fence:
+            self.map.fill(*np.array(fence).T, fill=False, edgecolor=INK, linestyle="--", zorder=1)
         self.map.set(aspect="equal", xlabel="east, m", ylabel="north, m")
         bar = self.figure.colorbar(shades, cax=self.figure.add_axes((0.475, MAP[1], 0.014, 0.5)))
         bar.set_label("gas, mean and measured, g/m³" if release else "gas measured, g/m³")
@@ -351,9 +395,10 @@ class Drawing:
         self._moving = sorted(self.figure.findobj(Artist.get_animated), key=Artist.get_zorder)
         return marks
 
-    def _make_room(self, scene: Scene) -> None:
+    def _make_room(self, scene: Scene, beside: Sequence[Scene]) -> None:
         """Widen charts and map if a scene has more steps or gas, or an estimate further out, than fits."""
-        gas = [it.gas for it in scene.measurements if math.isfinite(it.gas)]
+        every = [it.gas for each in (scene, *beside) for it in each.measurements]
+        gas = [value for value in every if math.isfinite(value)]
         steps = [it.step for it in scene.measurements]
         release, area = self._backdrop.release, self._backdrop.area
         places = [*(it.estimate for it in scene.measurements[-1:]), *(release.sources if release else ())]
@@ -375,8 +420,13 @@ class Drawing:
 
     def _lay_legend(self, beliefs: Sequence[str]) -> None:
         """Lay the legend, with words for each belief."""
+        names = self._names if len(self._names) > 1 else ["path and readings"]
+        dots = {"marker": "o", "markersize": 4.5, "markerfacecolor": PLUME(0.4)}
         styles: dict[str, Any] = {
-            "path and readings": PATH | {"marker": "o", "markersize": 4.5, "markerfacecolor": PLUME(0.4)},
+            name: PATH | dots | {"color": vehicle.colour}
+            for name, vehicle in zip(names, self.vehicles, strict=True)
+        }
+        styles |= {
             "start": START | {"color": INK},
             "estimate": ESTIMATE,
         }
@@ -407,15 +457,14 @@ class Drawing:
         """Make the artists that scenes change."""
         colours = BELIEFS[max(3 - beliefs, 0) :][:beliefs]  # of up to three, the last is dark
         self._clouds = [_Cloud(self, colour) for colour in colours]
-        line = PATH | {"animated": True}
-        (self.path,) = self.map.plot([], [], zorder=2.5, label="path", **line)
+        inks = (INK, *OTHERS)
+        self.vehicles = [
+            _Vehicle(self, inks[i % len(inks)], name if len(self._names) > 1 else "")
+            for i, name in enumerate(self._names)
+        ]
         self.readings = self.map.scatter([], [], c=[], zorder=3, animated=True, **READINGS)
-        (self._start,) = self.map.plot([], [], color=INK, animated=True, **START)
         (self._estimate,) = self.map.plot([], [], animated=True, **ESTIMATE)
-        (self._craft,) = self.map.plot([], [], zorder=6, animated=True, **VEHICLE)
-        (self.spreads,), (self.gases,) = (
-            chart.plot([], [], marker=".", markersize=4, **line) for chart in (self.spread, self.gas)
-        )
+        (self.spreads,) = self.spread.plot([], [], **CURVE)
         self._arrow = FancyArrowPatch(
             (0, 0), (1, 0), color=INK, linewidth=1.6, arrowstyle="-|>", mutation_scale=13, animated=True
         )
@@ -425,28 +474,17 @@ class Drawing:
         self._title = self.map.text(0, 1.075, "", weight="bold", **above)
         self._text = self.map.text(0, 1.025, "", size=9, **above)
 
-    def _show_path(self, scene: Scene) -> None:
+    def _show_readings(self, scenes: Sequence[Scene]) -> None:
+        taken = [it for scene in scenes for it in scene.measurements]
+        self.readings.set_offsets(np.array([it.position for it in taken], np.float64).reshape(-1, 2))
+        self.readings.set_array(np.array([it.gas for it in taken]))
+
+    def _show_search(self, scene: Scene) -> None:
+        """Show what all vehicles of a search share: the spread, and the estimate."""
         taken = scene.measurements
-        places = np.array([it.position for it in taken], np.float64).reshape(-1, 2)
-        steps, gas = [it.step for it in taken], [it.gas for it in taken]
-        ways, read = [places], [*gas]
-        for beside in zip(*(it.others for it in taken), strict=False):  # of each other vehicle
-            ways += [np.full((1, 2), np.nan), np.array([place for place, _ in beside])]  # a gap between them
-            read += [math.nan, *(value for _, value in beside)]
-        self.path.set_data(*np.concatenate(ways).T)
-        self.readings.set_offsets(np.concatenate(ways))
-        self.readings.set_array(np.array(read))
-        for curve in (self.spreads, self.gases):
-            curve.set_marker("." if len(steps) <= MANY // 10 else "")
-        self.spreads.set_data(steps, [it.spread_m for it in taken])
-        self.gases.set_data(steps, gas)
-        starts = [way[:1] for way in ways if len(way) and not np.isnan(way[0, 0])]
-        self._start.set_data(*np.concatenate([*starts, np.empty((0, 2))]).T)
+        self.spreads.set_marker(_dot(taken))
+        self.spreads.set_data([it.step for it in taken], [it.spread_m for it in taken])
         self._estimate.set_data(*np.array([it.estimate for it in taken[-1:]]).reshape(-1, 2).T)
-        shown = None if self._is_print else scene.craft
-        self._craft.set_data(*([shown.position[0]], [shown.position[1]]) if shown else ([], []))
-        if shown:
-            self._craft.set_marker(_nose(shown.heading))
 
     def _show_wind(self, scene: Scene) -> None:
         for mark in self._turns:
@@ -463,6 +501,11 @@ class Drawing:
 def _nose(heading: float) -> MarkerStyle:
     """Return a triangle whose tip is ahead; a diamond where the heading is not known."""
     return MarkerStyle((3, 0, math.degrees(heading) - 90) if math.isfinite(heading) else "D")
+
+
+def _dot(taken: Sequence[Measurement]) -> str:
+    """Return the mark of a reading on a curve; none where there are many."""
+    return "." if len(taken) <= MANY // 10 else ""
 
 
 def _state(scene: Scene) -> str:

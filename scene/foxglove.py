@@ -7,11 +7,14 @@ lies at z = 0.
 | topic | schema | holds | at |
 |---|---|---|---|
 | `scene/transforms` | FrameTransforms | the vehicle's place and heading | at most 10 a simulated second |
-| `scene/vehicle` | SceneUpdate | the vehicle, an arrow in its own frame | once |
-| `scene/area` | SceneUpdate | the search area | once |
+| `scene/vehicle` | SceneUpdate | the vehicle: an arrow, its name, mode and battery | each change |
+| `scene/area` | SceneUpdate | the search area, home, buildings and keep-outs, the polygon to keep in | once |
 | `scene/path` | PosesInFrame | where readings were taken | each reading |
+| `scene/readings` | PointCloud | the readings: x, y, z, gas | each reading |
+| `scene/wind` | SceneUpdate | an arrow to where the air flows, and its speed | each change |
+| `scene/state` | Log | how the search is, in a sentence, and what to watch | each change |
 | `scene/particles` | PointCloud | the belief's particles: x, y, z, weight | each belief |
-| `scene/estimate` | SceneUpdate | the estimate, and its 2σ ellipse | each belief |
+| `scene/estimate` | SceneUpdate | the estimate, its 2σ ellipse, how near 95% of the belief is | each belief |
 | `scene/waypoint` | SceneUpdate | the next waypoint | each waypoint |
 | `scene/fix/vehicle` | LocationFix | the vehicle's fix, as it reports it | as `scene/transforms` |
 | `scene/fix/estimate` | LocationFix | latitude, longitude and covariance of the estimate | each belief |
@@ -19,7 +22,10 @@ lies at z = 0.
 | `scene/source` | SceneUpdate | the true source; simulations only | once |
 | `scene/plume` | Grid | the true mean gas, g/m³; simulations only | once |
 
-Each message holds all of its topic, so a viewer that jumps to a time needs only the last one.
+Each message holds all of its topic, so a viewer that jumps to a time needs only the last one. Of several
+vehicles the first has these topics and frames, those of the others begin with their names:
+`uav/2/scene/path`. `uav/2/map` lies in `map` where its home does. What the vehicles of one search share,
+such as the particles, only the first one's topics have.
 """
 
 import math
@@ -39,9 +45,22 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
-from plume.geodesy import to_global
-from plume.problem import Area
-from scene.scene import ERROR, WARNING, Craft, Happening, Measurement, Point, Release, Scatter, Scene, ellipse
+from plume.geodesy import home_from, to_global
+from scene.scene import (
+    ERROR,
+    WARNING,
+    Backdrop,
+    Craft,
+    Floats,
+    Happening,
+    Measurement,
+    Point,
+    Release,
+    Scatter,
+    Scene,
+    ellipse,
+)
+from scene.state import BAD, WARN, near_text, state_of
 
 TOPICS = "scene/"  # all topics begin with it
 MAP_FRAME, VEHICLE_FRAME, ESTIMATE_FRAME = "map", "vehicle", "estimate"
@@ -55,12 +74,19 @@ COLOURS = {
     "waypoint": (0.0, 0.62, 0.45),
     "source": (0.84, 0.37, 0.0),
     "area": (0.6, 0.6, 0.6),
+    "wall": (0.8, 0.47, 0.65),
+    "wind": (0.94, 0.89, 0.26),
+    "text": (0.5, 0.5, 0.5),
 }
 FLOAT32 = PackedElementField.FLOAT32
 LINE_LOOP = 1  # LinePrimitive's type: a closed line
 LEVELS = {WARNING: Log.WARNING, ERROR: Log.ERROR}
 ON_GROUND_M = 0.1
 DISC_M = 0.02  # thickness of the ellipse
+TEXT_PX, TEXT_ABOVE_M = 14.0, 0.8
+WIND_PART = 0.1  # length of the wind's arrow, of the area's longer side
+STATES = {WARN: Log.WARNING, BAD: Log.ERROR}  # levels of a search's state
+Fix = tuple[float, float, float]  # latitude and longitude, degrees, and altitude above sea, m
 Part = Any  # a part of a protobuf message, or its fields, which its constructor takes as well
 
 T = TypeVar("T")
@@ -102,9 +128,14 @@ def pose_slot(time_s: float) -> int:
 class SceneEncoder:
     """Encodes the scenes of one vehicle: of each only what has changed since the one before."""
 
-    def __init__(self, prefix: str = "") -> None:
-        """Begin. `prefix` is put before topics and frames, where one connection shows several vehicles."""
-        self._prefix = prefix
+    def __init__(self, prefix: str = "", *, aside: bool = False) -> None:
+        """Begin.
+
+        prefix: put before topics and frames, where several vehicles are shown.
+        aside: another encoder says what the vehicles of the search share.
+        """
+        self._prefix, self._aside = prefix, aside
+        self._away: Point = (0.0, 0.0)  # of its home from that of the first vehicle
         self._map = prefix + MAP_FRAME
         self._said: dict[str, bytes] = {}
         self._slot = -1
@@ -112,20 +143,27 @@ class SceneEncoder:
         self._release: Release | None = None
         self._measurement: Measurement | None = None
         self._path = PosesInFrame(frame_id=self._map)
+        self._gas: list[tuple[float, float, float, float]] = []  # x, y, z, gas of the readings of the path
         self._happening: Happening | None = None
 
-    def encode(self, scene: Scene, stamp_ns: int) -> list[Encoded]:
+    def encode(self, scene: Scene, stamp_ns: int, first_home: Fix | None = None) -> list[Encoded]:
         """Return what changed.
 
         `stamp_ns` is the messages' timestamp, ns since the Unix epoch: viewers compare it with their
-        clock.
+        clock.  first_home: where the home of the first vehicle is, whose frame is the map's.
         """
+        if first_home and scene.home:
+            north, east, _ = home_from(first_home, scene.home)
+            self._away = east, north
         return [
             *self._backdrop(scene, stamp_ns),
+            *self._vehicle(scene, stamp_ns),
             *self.encode_pose(scene.craft, stamp_ns),
             *self._readings(scene.measurements, stamp_ns),
-            *self._scatter(scene.scatter, stamp_ns),
+            *(() if self._aside else self._scatter(scene.scatter, stamp_ns)),
+            *(() if self._aside else self._wind(scene, stamp_ns)),
             *self.encode_waypoint(scene.waypoint, stamp_ns),
+            *self._state(scene, stamp_ns),
             *self._happenings(scene.happenings, stamp_ns),
         ]
 
@@ -144,7 +182,14 @@ class SceneEncoder:
             "translation": {**_at(craft.position), "z": craft.altitude_m},
             "rotation": _turn(craft.heading if math.isfinite(craft.heading) else 0.0),
         }
-        yield from self._say("transforms", FrameTransforms(transforms=[transform]), stamp_ns)
+        home: Part = {
+            "parent_frame_id": MAP_FRAME,
+            "child_frame_id": self._map,
+            "translation": _at(self._away),
+            "rotation": _turn(0.0),
+        }
+        told = [home, transform] if self._prefix else [transform]
+        yield from self._say("transforms", FrameTransforms(transforms=told), stamp_ns)
         if craft.fix is not None:
             latitude, longitude, altitude = craft.fix
             if self._home is None or craft.altitude_m < ON_GROUND_M:  # it may be set anew until the take-off
@@ -166,9 +211,10 @@ class SceneEncoder:
     def _backdrop(self, scene: Scene, stamp_ns: int) -> Iterator[Encoded]:
         """Yield what hardly changes, once."""
         release, area = scene.backdrop.release, scene.backdrop.area
+        if self._aside:
+            return
         if "area" not in self._said:
-            yield from self._marks("area", [_outline(area)], stamp_ns)
-            yield from self._marks("vehicle", [_arrow()], stamp_ns, VEHICLE_FRAME)
+            yield from self._marks("area", _grounds(scene.backdrop), stamp_ns)
         if release != self._release:
             self._release = release
             source = [_ball("source", release.source, 0.6)] if release else []
@@ -189,20 +235,51 @@ class SceneEncoder:
                 stamp_ns,
             )
 
+    def _vehicle(self, scene: Scene, stamp_ns: int) -> Iterator[Encoded]:
+        """Yield the vehicle as it looks in its own frame, and in words what a pilot looks for."""
+        craft, battery = scene.craft, scene.craft.condition.battery if scene.craft else None
+        charge = "" if battery is None else f"{100 * battery:.0f}%"
+        words = filter(None, (scene.backdrop.vehicle, craft.mode if craft else "", charge))
+        yield from self._marks("vehicle", [_arrow(" · ".join(words))], stamp_ns, VEHICLE_FRAME)
+
+    def _wind(self, scene: Scene, stamp_ns: int) -> Iterator[Encoded]:
+        """Yield the wind beside the north-western corner of the area."""
+        x, y = scene.wind or (0.0, 0.0)
+        marks = []
+        if x or y:
+            area, length = scene.backdrop.area, WIND_PART * max(scene.backdrop.area.size_m)
+            place = area.low[0] - length, area.high[1]
+            marks = [_flow(place, math.atan2(-y, -x), length, f"wind {math.hypot(x, y):.1f} m/s")]
+        yield from self._marks("wind", marks, stamp_ns)
+
+    def _state(self, scene: Scene, stamp_ns: int) -> Iterator[Encoded]:
+        """Yield how the search is."""
+        state = state_of(scene)
+        log = Log(
+            level=STATES.get(state.level, Log.INFO),
+            name=scene.backdrop.vehicle,
+            message=" · ".join([state.text, *state.notes]),
+        )
+        yield from self._say("state", log, stamp_ns)
+
     def _readings(self, measurements: Sequence[Measurement], stamp_ns: int) -> Iterator[Encoded]:
         """Yield the path, and the estimate after its last reading."""
         new = _after(measurements, self._measurement)
         if new is None:  # another mission, or an earlier time
-            del self._path.poses[:]
+            del self._path.poses[:], self._gas[:]
             new = measurements
         if not new and (measurements or "path" not in self._said):
             return
         for measurement in new[-LONGEST_PATH:]:
             self._path.poses.add(**_pose(measurement.position))
-        del self._path.poses[:-LONGEST_PATH]
+            self._gas.append((*measurement.position, 0.0, measurement.gas))
+        del self._path.poses[:-LONGEST_PATH], self._gas[:-LONGEST_PATH]
         self._path.ClearField("timestamp")
         yield from self._say("path", self._path, stamp_ns)
+        yield from self._points("readings", "gas", np.array(self._gas, "<f4").reshape(-1, 4), stamp_ns)
         last = self._measurement = measurements[-1] if measurements else None
+        if self._aside:
+            return
         marks = [_ball("estimate", last.estimate, 0.3), _disc(last)] if last else []
         yield from self._marks("estimate", marks, stamp_ns)
         if last and self._home:
@@ -224,17 +301,18 @@ class SceneEncoder:
             rows = np.column_stack((scatter.places, np.zeros_like(scatter.weights), scatter.weights))
         elif "particles" not in self._said:
             return
-        yield from self._say(
-            "particles",
-            PointCloud(
-                frame_id=self._map,
-                point_stride=16,
-                pose=_pose(),
-                fields=_floats("x", "y", "z", "weight"),
-                data=rows.astype("<f4", copy=False).tobytes(),
-            ),
-            stamp_ns,
+        yield from self._points("particles", "weight", rows, stamp_ns)
+
+    def _points(self, topic: str, value: str, rows: Floats, stamp_ns: int) -> Iterator[Encoded]:
+        """Yield points (N, 4): x, y, z and a value."""
+        cloud = PointCloud(
+            frame_id=self._map,
+            point_stride=16,
+            pose=_pose(),
+            fields=_floats("x", "y", "z", value),
+            data=rows.astype("<f4", copy=False).tobytes(),
         )
+        yield from self._say(topic, cloud, stamp_ns)
 
     def _happenings(self, happenings: Sequence[Happening], stamp_ns: int) -> Iterator[Encoded]:
         new = _after(happenings, self._happening)
@@ -334,31 +412,69 @@ def _disc(measurement: Measurement) -> Part:
                 "top_scale": 1.0,
             }
         ],
+        "texts": [_text(f"95% within {near_text(measurement)}", measurement.estimate)],
     }
 
 
-def _outline(area: Area) -> Part:
-    (west, south), (east, north) = area.low, area.high
+def _text(words: str, place: Point = (0.0, 0.0)) -> Part:
+    """Return words above a place, as large on the screen from near and from far."""
     return {
-        "id": "area",
-        "lines": [
+        "pose": {**_pose(place), "position": {**_at(place), "z": TEXT_ABOVE_M}},
+        "billboard": True,
+        "font_size": TEXT_PX,
+        "scale_invariant": True,
+        "color": _colour("text"),
+        "text": words,
+    }
+
+
+def _grounds(backdrop: Backdrop) -> list[Part]:
+    """Return the area and what lies in it."""
+    (west, south), (east, north) = backdrop.area.low, backdrop.area.high
+    edge = (west, south), (east, south), (east, north), (west, north)
+    parts = [
+        {"id": "area", "lines": [_loop(edge, "area")]},
+        {"id": "home", "texts": [_text("home")]},
+    ]
+    if backdrop.walls:
+        parts.append({"id": "walls", "lines": [_loop(wall, "wall", 3.0) for wall in backdrop.walls]})
+    if backdrop.fence:
+        parts.append({"id": "keep_in", "lines": [_loop(backdrop.fence, "wall", 1.5)]})
+    return parts
+
+
+def _loop(corners: Sequence[Point], colour: str, thickness_px: float = 2.0) -> Part:
+    return {
+        "type": LINE_LOOP,
+        "pose": _pose(),
+        "thickness": thickness_px,
+        "scale_invariant": True,  # pixels
+        "points": [_at(corner) for corner in corners],
+        "color": _colour(colour),
+    }
+
+
+def _flow(place: Point, angle: float, length_m: float, words: str) -> Part:
+    return {
+        "id": "wind",
+        "arrows": [
             {
-                "type": LINE_LOOP,
-                "pose": _pose(),
-                "thickness": 2.0,
-                "scale_invariant": True,  # pixels
-                "points": [
-                    _at(corner) for corner in ((west, south), (east, south), (east, north), (west, north))
-                ],
-                "color": _colour("area"),
+                "pose": _pose(place, angle),
+                "shaft_length": 0.7 * length_m,
+                "shaft_diameter": 0.08 * length_m,
+                "head_length": 0.3 * length_m,
+                "head_diameter": 0.2 * length_m,
+                "color": _colour("wind"),
             }
         ],
+        "texts": [_text(words, place)],
     }
 
 
-def _arrow() -> Part:
+def _arrow(words: str) -> Part:
     return {
         "id": "vehicle",
+        "texts": [_text(words)],
         "arrows": [
             {
                 "pose": _pose(),

@@ -84,6 +84,7 @@ class Backdrop:
     title: str = ""  # words for people: the policy, the seed; empty if unknown
     release: Release | None = None  # None: a real flight, or a simulation whose truth is not told
     walls: tuple[tuple[Point, ...], ...] = ()  # outlines of buildings and keep-outs, as far as known
+    fence: tuple[Point, ...] = ()  # the polygon that no way leaves; empty: the area's edge
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +98,9 @@ class Condition:
     placed: bool | None = None  # whether its estimator stands by the position
     wind: tuple[float, float] | None = None  # as it estimates it: points to where it comes from, m/s
     lost: float | None = None  # share of what was sent to it that did not arrive whole, 0 to 1
+    # Signal strength at the ground's end of its radio link and at its own, 0 to 254 in the radio's units; NaN
+    # if that end does not tell. None without RADIO_STATUS.
+    radio: tuple[float, float] | None = None
 
     @property
     def health(self) -> str:
@@ -159,8 +163,6 @@ class Measurement:
     effective_sample_size: float = math.nan
     outside: float = 0.0  # share of the belief outside the area
     measured_wind: Point | None = None  # with the reading: points to where it comes from, m/s
-    # Place and gas of the readings that other vehicles of the search took in the same round.
-    others: tuple[tuple[Point, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

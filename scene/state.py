@@ -97,7 +97,7 @@ def _said(scene: Scene) -> tuple[str, str, str]:
             WARN,
             "Doubtful: the readings do not fit a plume; while they do not, it cannot stop",
         )
-    near = _near(last)
+    near = near_text(last)
     return "searching", GOOD, f"Searching: the source is within {near} of the cross (95%){_stops(scene)}"
 
 
@@ -105,7 +105,7 @@ def _ended(scene: Scene, ending: Ending) -> tuple[str, str, str]:
     last = scene.measurements[-1] if scene.measurements else None
     if last is None:
         return "found", CALM, ending.text
-    where = f"{_where(scene, last.estimate)}, ± {_near(last)} (95%){_rate(last)}"
+    where = f"{_where(scene, last.estimate)}, ± {near_text(last)} (95%){_rate(last)}"
     match ending.verdict:
         case "located":
             return "found", GOOD, f"Found: {where}"
@@ -114,7 +114,7 @@ def _ended(scene: Scene, ending: Ending) -> tuple[str, str, str]:
         case "outside":
             return "outside", WARN, f"Outside: the source is not in the area; most likely at {where}"
         case "not ceased":
-            near = f"the source is within {_near(last)} of the cross (95%)"
+            near = f"the source is within {near_text(last)} of the cross (95%)"
             return "spent", WARN, f"Not found: the moves are spent; {near}"
         case _:
             return "found", CALM, f"Found: {where}"
@@ -152,7 +152,8 @@ def _by(scene: Scene) -> str:
     return ""
 
 
-def _near(last: Measurement) -> str:
+def near_text(last: Measurement) -> str:
+    """Return within how many metres of the estimate 95% of a belief lies."""
     radius_m = last.radius_95_m if math.isfinite(last.radius_95_m) else RADIUS_95 * last.spread_m
     return f"{radius_m:.0f} m" if radius_m >= 9.95 else f"{radius_m:.1f} m"
 

@@ -218,6 +218,7 @@ def wheel(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("pinned", "told"),
     [

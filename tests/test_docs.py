@@ -51,15 +51,7 @@ RELIED_ON = {
     "README.md: make mission",
     "README.md: plumeward fly --seed 11 --view",
     "README.md: plumeward rollout --seed 4 --policy infotaxis --world wind-30 --assume paper",
-    "docs/records.md: plumeward log runs/NAME.mcap",
-    "docs/records.md: plumeward draw runs/NAME.mcap",
-    "docs/records.md: plumeward replay runs/NAME.mcap --verify --speedup 0",
-    "docs/worlds.md: plumeward list worlds",
-    "docs/security.md: plumeward certs certs --vehicles 1,2",
     "docs/services.md: plumeward router --listen tcp/127.0.0.1:7447",
-    "docs/vehicles.md: plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11",
-    "docs/guides/gas-sensor.md: python docs/examples/fake_sensor.py",
-    "docs/guides/my-field.md: plumeward rollout --problem my-field.yaml --seed 4",
 }
 """What `make test` runs, beside all that prints help: a page, and the first command of a block. `make
 test-all` runs the others.
@@ -152,7 +144,7 @@ STAYS = {
     "plumeward uav --vehicles 2 --number 2 -I 1 --from corners --seed 4 --connect tcp/127.0.0.1:7447": "agent: ",
     "plumeward view --connect tcp/127.0.0.1:7447": "page at http://127.0.0.1:",
     "plumeward status --watch --connect tcp/127.0.0.1:7447": "uav/2 at tcp/",
-    "plumeward fly --vehicle serial:/dev/ttyAMA0:921600 --payload serial:/dev/ttyUSB0:9600 --sensor gaussian:0.3,0.02 --dwell 2 --record flight.mcap --findings flight-findings --view": "Waiting for the autopilot: no HEARTBEAT",
+    "plumeward fly --vehicle serial:/dev/ttyAMA0:921600 --payload serial:/dev/ttyUSB0:9600 --sensor gaussian:0.3,0.02 --dwell 2 --record site.mcap --findings flight-findings --view": "Waiting for the autopilot: no HEARTBEAT",
     "plumeward record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
     "plumeward fly --seed 11 --view": "page stays open at",
     "plumeward fly --view": "page stays open at",

@@ -20,7 +20,7 @@ MOST_REMEMBERED = 8192
 MOVES_AFTER_S = 3.0
 # Most senders remembered for each link, the latest heard. It is bounded because ids are easily forged.
 MOST_HEARD = 1024
-SETUP_SIGNING = 256
+SETUP_SIGNING, RADIO_STATUS = 256, 109
 AUTOPILOT = 1  # the component id of autopilots
 
 DUPLICATE, ELSEWHERE, UNHEARD = (
@@ -37,7 +37,8 @@ class Route(NamedTuple):
     """Where a frame goes."""
 
     links: tuple[Link, ...] = ()
-    # Whether a vehicle has sent it: on the bus it belongs on mavlink/out, else on mavlink/in.
+    # Whether a vehicle has sent it, or the radio on its link: on the bus it belongs on mavlink/out, else on
+    # mavlink/in.
     vehicle: bool = False
     dropped: str = ""  # why it goes nowhere, if it should have gone somewhere
 
@@ -99,7 +100,9 @@ class Routes:
         self._hear(sender, link)
         target = frame.target
         if not target[0]:
-            return Route(tuple(other for other in self.heard if other != link), out or vehicle)
+            of_radio = frame.message_id == RADIO_STATUS and link in {at for at, _ in self._vehicles} - {BUS}
+            told = out or vehicle or of_radio
+            return Route(tuple(other for other in self.heard if other != link), told)
         there = {other for other in self.heard if self._has(other, *target)}
         if vehicle and link != BUS:
             there.add(BUS)  # mavlink/out holds all that a vehicle says, for records and viewers

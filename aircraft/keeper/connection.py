@@ -39,6 +39,7 @@ HEARD = frozenset(
         mavlink.MAVLINK_MSG_ID_STATUSTEXT,
     }
 )
+RADIO_STATUS = int(mavlink.MAVLINK_MSG_ID_RADIO_STATUS)
 MOST_FRAMES = 4096  # that wait to be handed on
 MOST_BYTES = 65536  # that wait for a keeper that does not read
 HANGS_S = 5.0  # a keeper says each second how it does; one that is silent for this long is replaced
@@ -176,7 +177,8 @@ class Connection(Hub):
             if frame.system == keeper.OWN:
                 self._kept.hear(self._parser.decode(bytearray(frame.data)))
                 continue
-            if frame.system == self._system and frame.component != ONBOARD_COMPUTER:
+            own = frame.system == self._system and frame.component != ONBOARD_COMPUTER
+            if own or frame.message_id == RADIO_STATUS:  # the radio on the link has a system id of its own
                 self._frames.append(frame.data)
             if frame.message_id in HEARD:
                 with contextlib.suppress(mavlink.MAVError):
@@ -184,7 +186,7 @@ class Connection(Hub):
         return heard
 
     def frames(self) -> list[bytes]:
-        """Return the vehicle's own frames as they came, since the last call."""
+        """Return what the vehicle, and the radio on its link, have said since the last call, as it came."""
         frames = [*self._frames]
         self._frames.clear()
         return frames

@@ -12,7 +12,7 @@ from link import cli
 from link.files import whole
 from link.record.reader import RecordError, read
 from scene.animation import Picture, write_gif, write_mp4
-from scene.follow.history import History, history_of, remark_on
+from scene.follow.history import History, histories_of, remark_on
 from scene.scene import Measurement, Scene
 
 MOST_STEPS = 1_000_000
@@ -72,18 +72,18 @@ def run(args: argparse.Namespace) -> int:
         args.out = args.log.with_suffix(".png")
     flags = (("--out", args.out), ("--gif", args.gif), ("--mp4", args.mp4))
     wanted = {flag: path for flag, path in flags if path}
-    history, damaged = _history(args.log)
+    histories, damaged = _histories(args.log)
     for flag, path in wanted.items():
         if refusal := cli.unwritable(flag, [path], args.force):
             raise cli.BadInput(refusal)
-    beliefs = _beliefs(history, args.at) if args.out else []
+    beliefs = _beliefs(histories[0], args.at) if args.out else []
     for flag, path in wanted.items():
         try:
             with whole(path) as unfinished:
                 if flag == "--out":
-                    _draw(history, beliefs, unfinished, path.suffix[1:])
+                    _draw(histories, beliefs, unfinished, path.suffix[1:])
                 else:
-                    (write_gif if flag == "--gif" else write_mp4)(_frames(history), unfinished)
+                    (write_gif if flag == "--gif" else write_mp4)(_frames(histories), unfinished)
         except OSError as error:
             raise cli.BadInput(
                 f"{flag}: {str(path)!r} cannot be written: {error.strerror or error}"
@@ -92,18 +92,18 @@ def run(args: argparse.Namespace) -> int:
     return cli.FAILED if damaged else 0
 
 
-def _history(path: Path) -> tuple[History, bool]:
-    """Return what a log tells, and whether it is damaged. Raises BadInput."""
+def _histories(path: Path) -> tuple[list[History], bool]:
+    """Return what a log tells of each vehicle, and whether it is damaged. Raises BadInput."""
     try:
         recording = read(path)
-        history = history_of(recording)
+        histories = histories_of(recording)
     except RecordError as error:
         raise cli.BadInput(str(error)) from None
-    if not history.measurements.values:
+    if not histories[0].measurements.values:
         raise cli.BadInput(f"{path} has no belief that can be read: there is nothing to draw")
-    if remark := remark_on(recording, history):
+    if remark := remark_on(recording, histories[0]):
         print(f"warning: {path} {remark}", file=sys.stderr)
-    return history, bool(recording.damage)
+    return histories, bool(recording.damage)
 
 
 def _beliefs(history: History, steps: Sequence[int] | None) -> list[Scene]:
@@ -140,21 +140,24 @@ def telling(measured: Sequence[Measurement]) -> list[int]:
     return sorted({it.step for it in (*gone, last)})
 
 
-def _draw(history: History, beliefs: Sequence[Scene], path: Path, form: str) -> None:
+def _draw(histories: Sequence[History], beliefs: Sequence[Scene], path: Path, form: str) -> None:
     from scene.drawing import Drawing
 
-    scene = history.at()
-    Drawing(scene, beliefs, scene.measurements[-1].step).show(scene).save(path, form)
+    scene, *beside = (history.at() for history in histories)
+    steps = scene.measurements[-1].step
+    Drawing(scene, beliefs, steps, beside).show(scene, beside).save(path, form)
 
 
-def _frames(history: History) -> Iterator[Picture]:
+def _frames(histories: Sequence[History]) -> Iterator[Picture]:
     """Yield a frame for each reading, and show on stderr how many are done."""
     from rich.console import Console
     from rich.progress import track
 
     from scene.drawing import Drawing
 
-    measured = history.measurements.values
-    drawing = Drawing(history.at(), steps=measured[-1].step)
+    measured = histories[0].measurements.values
+    scene, *beside = (history.at() for history in histories)
+    drawing = Drawing(scene, steps=measured[-1].step, beside=beside)
     for it in track(measured, "drawing", console=Console(stderr=True), transient=True):
-        yield drawing.show(history.at(it.time_s)).pixels()
+        scene, *beside = (history.at(it.time_s) for history in histories)
+        yield drawing.show(scene, beside).pixels()

@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"recording to {args.file}", flush=True)
         _give_way()
         try:
-            record(bus, writer, ends, RecordedScene(args.about, args.namespace))
+            record(bus, writer, ends, RecordedScene(args.about, args.namespace, cli.numbers(args.vehicles)))
         except OSError as error:
             words = f"record stopped: {error.strerror} ({args.file})"
             bus.log.warning(words)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ground.findings.background import Background
 from ground.findings.figures import Findings
+from ground.findings.flight import FlownReading
 from ground.findings.numbers import significant
 from ground.findings.region import places_of
 from link.terminal import printable
@@ -19,7 +20,10 @@ FURTHEST = 3.0  # what lies further beyond the area, in sides of it, is cut off
 MOST_POINTS = 4000  # of a track; of a longer one every n-th
 MOST_DOTS = 1000  # particles that are drawn
 INK, FAINT, RULE = "#1a2129", "#56616d", "#d5dbe1"
-REGION, ESTIMATE, TRACK, TRUTH = "#0072b2", "#d55e00", "#3b4652", "#a8447f"
+REGION, ESTIMATE = "#0072b2", "#d55e00"
+# Of the tracks of the vehicles, by number.
+TRACKS = ("#3b4652", "#009e73", "#a8447f", "#8a6d00", "#0072b2", "#882255", "#4d9de0", "#7a4b2a")
+WALL = "#c4c9cf"
 GAS = ("#fff3d6", "#fac06c", "#ee8f33", "#b9500f", "#5e2404")  # of readings, from least to greatest
 RATES = ("#f1f7fb", "#bcdcee", "#6fb1d6", "#2b7cb3", "#0b3c66")
 NEVER = "#8b8f94"  # a place where no rate would have been seen
@@ -62,10 +66,11 @@ def whole_map(it: Findings, background: Background | None = None) -> str:
     gas = np.array([sample.gas for sample in it.flight.samples])
     parts = [
         *_ground(view, background),
-        _area(view, it),
-        _track(view, it),
+        *_area(view, it),
+        *_tracks(view, it),
         *_readings(view, it),
         *_region(view, it),
+        *_names(view, it),
     ]
     legend = _legend(view, GAS, float(gas.min()), float(gas.max()), f"gas, {it.unit}", _root)
     return _drawing(view, "Map of the flight", parts, [*legend, *_compass(view, it)])
@@ -79,7 +84,7 @@ def near_map(it: Findings) -> str:
         places = np.concatenate(it.contour.rings)
         half = max(half, 1.15 * float(np.abs(places - np.array([x, y])).max()))
     view = View(x - half, y - half, x + half, y + half)
-    parts = [*_ground(view, None), _area(view, it), *_particles(view, it), *_region(view, it)]
+    parts = [*_ground(view, None), *_area(view, it), *_particles(view, it), *_region(view, it)]
     return _drawing(view, "Map of the estimate and its 95% region", parts, _compass(view, it))
 
 
@@ -102,7 +107,7 @@ def rates_map(it: Findings) -> str:
             f'width="{width + 0.3:.1f}" height="{height + 0.3:.1f}" fill="{colour}">'
             f"<title>{told}</title></rect>"
         )
-    parts = [*cells, *_grid(view), _area(view, it), _track(view, it)]
+    parts = [*cells, *_grid(view), *_area(view, it), *_tracks(view, it), *_names(view, it)]
     legend = _legend(view, RATES, low, high, "rate, g/s", _log_share)
     return _drawing(view, "Map of the smallest rates", parts, [*legend, *_compass(view, it)])
 
@@ -113,7 +118,7 @@ def _view(it: Findings) -> View:
     places = [
         np.stack([low, high]),
         np.array([sample.place for sample in it.flight.samples]),
-        it.flight.track,
+        *it.flight.tracks.values(),
         it.ellipse.outline,
     ]
     reach = FURTHEST * max(it.area.size_m)
@@ -197,9 +202,12 @@ def _axes(view: View) -> list[str]:
     return texts
 
 
-def _text(x: float, y: float, text: str, anchor: str = "start", colour: str = FAINT) -> str:
-    words = escape(printable(text))
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}">{words}</text>'
+def _text(
+    x: float, y: float, text: str, anchor: str = "start", colour: str = FAINT, *, on_map: bool = False
+) -> str:
+    """Return a text; on_map: with an edge of white, so that it can be read on anything."""
+    words, edge = escape(printable(text)), ' stroke="#fff" stroke-width="3" paint-order="stroke"' * on_map
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}"{edge}>{words}</text>'
 
 
 def _scale_bar(view: View) -> str:
@@ -230,24 +238,57 @@ def _compass(view: View, it: Findings) -> list[str]:
     ]
 
 
-def _area(view: View, it: Findings) -> str:
+def _area(view: View, it: Findings) -> list[str]:
+    """Return the area's edge, what is to be kept out of, and what no way might leave."""
     width, height = (length * view.scale for length in it.area.size_m)
     left, top = view.x(it.area.low[0]), view.y(it.area.high[1])
-    return (
+    parts = [
+        f'<path d="M{view.path(wall)} Z" fill="{WALL}" fill-opacity="0.8" stroke="{INK}" stroke-width="0.8">'
+        "<title>building, or kept out of</title></path>"
+        for wall in it.flight.walls
+    ]
+    if it.flight.fence:
+        parts.append(
+            f'<path d="M{view.path(it.flight.fence)} Z" fill="none" stroke="{INK}" '
+            'stroke-dasharray="9 3 2 3"><title>no way might leave it</title></path>'
+        )
+    return [
+        *parts,
         f'<rect x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}" '
-        f'fill="none" stroke="{FAINT}" stroke-dasharray="6 4"/>'
-    )
+        f'fill="none" stroke="{FAINT}" stroke-dasharray="6 4"/>',
+    ]
 
 
-def _track(view: View, it: Findings) -> str:
-    track = it.flight.track
-    if len(track) < 2:
-        return ""
-    places = track[:: -(-len(track) // MOST_POINTS)].tolist()
-    return (
-        f'<path d="M{view.path(places)}" fill="none" stroke="{TRACK}" stroke-width="1.2" '
-        'stroke-opacity="0.7"/>'
-    )
+def _tracks(view: View, it: Findings) -> list[str]:
+    return [
+        f'<path d="M{view.path(track[:: -(-len(track) // MOST_POINTS)].tolist())}" fill="none" '
+        f'stroke="{_track_colour(number)}" stroke-width="1.2" stroke-opacity="0.7"/>'
+        for number, track in it.flight.tracks.items()
+        if len(track) >= 2
+    ]
+
+
+def _names(view: View, it: Findings) -> list[str]:
+    """Return the names of several vehicles, each at its first reading."""
+    if len(it.flight.tracks) == 1:
+        return []
+    first = {sample.vehicle: sample.place for sample in reversed(it.flight.samples)}
+    return [
+        _text(
+            view.x(first[number][0]) + 7,
+            view.y(first[number][1]) - 7,
+            f"uav/{number}",
+            colour=colour,
+            on_map=True,
+        )
+        for number in it.flight.tracks
+        if number in first
+        for colour in [_track_colour(number)]
+    ]
+
+
+def _track_colour(number: int) -> str:
+    return TRACKS[(number - 1) % len(TRACKS)]
 
 
 def _readings(view: View, it: Findings) -> list[str]:
@@ -257,9 +298,14 @@ def _readings(view: View, it: Findings) -> list[str]:
     return [
         f'<circle cx="{view.x(sample.place[0]):.1f}" cy="{view.y(sample.place[1]):.1f}" r="4" stroke="{INK}" '
         f'stroke-width="0.6" fill="{_colour(GAS, _root(sample.gas, low, high))}">'
-        f"<title>reading {sample.step}: {sample.gas:.4g} {escape(it.unit)}</title></circle>"
+        f"<title>{_whose(sample, it)}reading {sample.step}: {sample.gas:.4g} {escape(it.unit)}</title>"
+        "</circle>"
         for sample in samples
     ]
+
+
+def _whose(sample: FlownReading, it: Findings) -> str:
+    return f"uav/{sample.vehicle}, " if len(it.flight.tracks) > 1 else ""
 
 
 def _particles(view: View, it: Findings) -> list[str]:

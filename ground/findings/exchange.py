@@ -46,9 +46,13 @@ def geojson(it: Findings) -> str:
         features.append(_feature("region_95_contour", _polygons(it, rings), {"share": 0.95}))
     area = {"low_m": it.area.low, "high_m": it.area.high}
     features.append(_feature("area", _polygons(it, [_rectangle(it.area.low, it.area.high)]), area))
-    if len(it.flight.track) > 1:
-        track = _line(it, it.flight.track.tolist())
-        features.append(_feature("track", track, {"points": len(it.flight.track)}))
+    features += [_feature("keep_out", _around(it, wall), {}) for wall in it.flight.walls]
+    if it.flight.fence:
+        features.append(_feature("keep_in", _around(it, it.flight.fence), {}))
+    for number, track in it.flight.tracks.items():
+        if len(track) > 1:
+            of = {"points": len(track), "vehicle": number}
+            features.append(_feature("track", _line(it, track.tolist()), of))
     for sample in it.flight.samples:
         told = {
             "step": sample.step,
@@ -59,6 +63,7 @@ def geojson(it: Findings) -> str:
             "wind_east_mps": sample.wind[0],
             "wind_north_mps": sample.wind[1],
             "spread_m": sample.spread_m,
+            "vehicle": sample.vehicle,
         }
         features.append(_feature("reading", _point(it, sample.place), told))
     if it.smallest:
@@ -116,6 +121,17 @@ def _polygons(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> dict[
     return {"type": "MultiPolygon", "coordinates": polygons}
 
 
+def _around(it: Findings, outline: Sequence[Point]) -> dict[str, Any] | None:
+    """Return a polygon from its corners in either order."""
+    return _polygons(it, [_ring(outline)])
+
+
+def _ring(outline: Sequence[Point]) -> list[Point]:
+    """Return corners as a closed ring, counter-clockwise."""
+    ring = [*outline, outline[0]]
+    return ring if _twice_area(ring) > 0 else ring[::-1]
+
+
 def _are_on_earth(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> bool:
     return all(it.on_earth(place) for ring in rings for place in ring)
 
@@ -169,6 +185,8 @@ KML_STYLES = {
     "<PolyStyle><color>33b27200</color></PolyStyle>",
     "area": "<LineStyle><color>ff7d6b5b</color><width>1</width></LineStyle>"
     "<PolyStyle><fill>0</fill></PolyStyle>",
+    "wall": "<LineStyle><color>ff292119</color><width>1</width></LineStyle>"
+    "<PolyStyle><color>99cfc9c4</color></PolyStyle>",
     "track": "<LineStyle><color>ff292119</color><width>2</width></LineStyle>",
     "reading": "<IconStyle><color>ff009fe6</color><scale>0.4</scale></IconStyle>"
     "<LabelStyle><scale>0</scale></LabelStyle>",
@@ -189,14 +207,22 @@ def kml(it: Findings) -> str:
                 marks.append(_placemark("region", "95% region: particles", "", _kml_polygon(it, rings)))
         ring = _rectangle(it.area.low, it.area.high)
         marks.append(_placemark("area", "Search area", "", _kml_polygon(it, [ring])))
-        if len(it.flight.track) > 1:
-            places = _coordinates(it, it.flight.track.tolist())
-            line = f"<LineString><tessellate>1</tessellate>{places}</LineString>"
-            marks.append(_placemark("track", "Track", "", line))
+        several = len(it.flight.tracks) > 1
+        polygons = [("wall", "Keep out", wall) for wall in it.flight.walls]
+        polygons += [("area", "Keep in", it.flight.fence)] if it.flight.fence else []
+        marks += [
+            _placemark(style, name, "", _kml_polygon(it, [_ring(outline)]))
+            for style, name, outline in polygons
+        ]
+        for number, track in it.flight.tracks.items():
+            if len(track) > 1:
+                places = _coordinates(it, track.tolist())
+                line = f"<LineString><tessellate>1</tessellate>{places}</LineString>"
+                marks.append(_placemark("track", f"Track of uav/{number}" if several else "Track", "", line))
         marks += [
             _placemark(
                 "reading",
-                f"Reading {sample.step}",
+                f"Reading {sample.step}" + (f" of uav/{sample.vehicle}" if several else ""),
                 _lines(f"{sample.gas:.4g} {it.unit}", utc(sample.utc_ns)),
                 _kml_point(it, sample.place),
                 when=utc(sample.utc_ns),
@@ -255,7 +281,7 @@ def readings_csv(it: Findings) -> str:
     """Return the readings as CSV: a row each, with the unit in the name of each column."""
     heads = [
         *("step", "time_utc", "latitude_deg", "longitude_deg", "x_m", "y_m", "altitude_m"),
-        *("gas", "gas_unit", "wind_east_mps", "wind_north_mps", "spread_m"),
+        *("gas", "gas_unit", "wind_east_mps", "wind_north_mps", "spread_m", "vehicle"),
     ]
     rows = []
     for sample in it.flight.samples:
@@ -268,6 +294,7 @@ def readings_csv(it: Findings) -> str:
                 *(_plain(value) for value in (*sample.place, sample.altitude_m, sample.gas)),
                 it.unit,
                 *(_plain(value) for value in (*sample.wind, sample.spread_m)),
+                sample.vehicle,
             ]
         )
     return _written(heads, rows)

@@ -247,6 +247,8 @@ def as_json(it: Findings) -> dict[str, Any]:
         "margin_m": it.told.margin_m,
         "estimator_flags": command_line(about),
         "area": {"low_m": it.area.low, "high_m": it.area.high},
+        "keep_out_m": flight.walls,
+        "keep_in_m": flight.fence or None,
         "home": {"place_deg": flight.home, "said_by": flight.home_by},
         "checks": {
             "p_value": last.p_value,
@@ -258,6 +260,7 @@ def as_json(it: Findings) -> dict[str, Any]:
         "warnings": [
             {"time_utc": utc(said.utc_ns), "who": said.who, "text": said.text} for said in flight.warnings
         ],
+        "vehicles": len(flight.tracks),
         "readings": len(flight.samples),
         "steps": last.step,
         "distance_m": _distance(flight.samples),
@@ -301,8 +304,10 @@ def simulated_source(it: Findings) -> Point | None:
 
 
 def _distance(samples: Sequence[FlownReading]) -> float:
-    places: list[Point] = [sample.place for sample in samples]
-    return math.fsum(math.dist(a, b) for a, b in pairwise(places))
+    of: dict[int, list[Point]] = {}
+    for sample in samples:
+        of.setdefault(sample.vehicle, []).append(sample.place)
+    return math.fsum(math.dist(a, b) for places in of.values() for a, b in pairwise(places))
 
 
 def _ends(it: Ranged) -> list[float] | None:

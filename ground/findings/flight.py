@@ -16,12 +16,21 @@ from link.bus.messages import Belief, Particles, by_number, unpack_particles
 from link.record.reader import Recording, read
 from link.record.record import Entry
 from plume.geodesy import to_global
-from scene.follow.history import History, history_of, remark_on
+from scene.follow.described import Outlines
+from scene.follow.history import (
+    History,
+    histories_of,
+    history_of,
+    on_one_clock,
+    remark_on,
+    vehicles_of,
+)
 from scene.scene import ERROR, WARNING, Point
 
 Home = tuple[float, float]  # latitude and longitude, degrees, WGS84
 NS = 1_000_000_000
 CHUNK = 1 << 20
+OF_A_VEHICLE = ("uav", "search", "payload")  # who speaks for one vehicle, not for the search of several
 
 
 class FlownReading(NamedTuple):
@@ -35,6 +44,7 @@ class FlownReading(NamedTuple):
     gas: float  # in the sensor's unit
     wind: tuple[float, float]  # as measured: (east, north) m/s, points to where it comes from
     spread_m: float
+    vehicle: int = 1  # whose it is
 
 
 class Remark(NamedTuple):
@@ -56,12 +66,20 @@ class Flight(NamedTuple):
     samples: list[FlownReading]
     last: Belief
     particles: Particles | None  # of the last belief; None if the record has none
-    track: NDArray[np.float32]  # (K, 2) m
+    tracks: dict[int, NDArray[np.float32]]  # of each vehicle, by its number, of one alone 1: (K, 2) m
+    walls: Outlines  # buildings and polygons to keep out of
+    fence: tuple[Point, ...]  # the polygon that no way leaves; empty: the area's edge
     warnings: list[Remark]
     estimator_warned: list[Remark]  # those of the estimator: of stops that would not be honest
     remark: str  # what the record itself lacks, after its name; empty if it is whole
     is_damaged: bool  # pieces of the record are missing
     budget: int | None
+
+    @property
+    def read_text(self) -> str:
+        """How often was read, in words."""
+        each = f" of each of {len(self.tracks)} vehicles" if len(self.tracks) > 1 else ""
+        return f"{self.last.step + 1} readings{each}"
 
     @property
     def began_ns(self) -> int:
@@ -103,10 +121,11 @@ def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = Non
     beliefs = _beliefs(recording.entries)
     if not beliefs:
         return None
-    history = history_of(recording)
+    histories = histories_of(recording)
+    history, numbers = histories[0], vehicles_of(recording)
     readings = _readings(recording.entries)
     samples = [
-        _sample(own, entry, readings.get((vehicle if said.readings else 0, own.time_boot_ms)))
+        _sample(own, entry, vehicle, readings.get((vehicle if said.readings else 0, own.time_boot_ms)))
         for said, entry in beliefs
         for vehicle, own in by_number(said).items()
     ]
@@ -118,11 +137,15 @@ def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = Non
     home, home_by = _home(history, recording.about)
     if replayed_at:
         home, home_by = replayed_at, "the log"
-    scene = history.at()
-    clock = _Clock(recording.entries)
+    clock = _Clock(on_one_clock(recording))
     said = (
-        Remark(clock.utc_ns(it.time_s), it.who, it.text)
-        for it in scene.happenings
+        Remark(
+            clock.utc_ns(it.time_s),
+            f"{it.who}/{number}" if number and it.who in OF_A_VEHICLE else it.who,
+            it.text,
+        )
+        for number, each in zip(numbers or [0], histories, strict=True)
+        for it in each.at().happenings
         if it.level in (WARNING, ERROR)
     )
     warnings = [*{(it.utc_ns // NS, it.who, it.text): it for it in said}.values()]  # one a second
@@ -137,7 +160,11 @@ def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = Non
         last=last,
         particles=particles,
         # The vehicle's own frame begins elsewhere than the area of a log.
-        track=np.array([it.place for it in samples], np.float32) if replayed_at else scene.track,
+        tracks={1: np.array([it.place for it in samples], np.float32)}
+        if replayed_at
+        else {number: each.at().track for number, each in zip(numbers or [1], histories, strict=True)},
+        walls=history.backdrop.walls,
+        fence=history.backdrop.fence,
         warnings=warnings,
         estimator_warned=[it for it in warnings if it.who == "estimator"],
         remark=remark_on(recording, history),
@@ -178,7 +205,7 @@ def _readings(entries: Iterable[Entry]) -> dict[tuple[int, int], tuple[Reading, 
     return found
 
 
-def _sample(said: Belief, entry: Entry, reading: tuple[Reading, Entry] | None) -> FlownReading:
+def _sample(said: Belief, entry: Entry, vehicle: int, reading: tuple[Reading, Entry] | None) -> FlownReading:
     """Return the reading that a belief answers; one that the record lacks is as the belief says."""
     wind = reading[0].wind if reading else said.wind
     at = reading[1] if reading else entry
@@ -191,6 +218,7 @@ def _sample(said: Belief, entry: Entry, reading: tuple[Reading, Entry] | None) -
         said.gas,
         wind,
         said.spread,
+        vehicle,
     )
 
 

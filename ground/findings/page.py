@@ -171,10 +171,20 @@ def _maps(it: Findings, background: Background | None) -> str:
             "</figcaption></figure>"
         )
     return f"""<div class="maps">
-<figure>{whole}<figcaption>Track (line) and readings (dots). Dashed rectangle: the search area. Cross: the
-estimate; dashed ellipse and filled contour: its 95% region. North is up.</figcaption></figure>
+<figure>{whole}<figcaption>Track (line) and readings (dots){_vehicles_text(it)}. Dashed rectangle: the search
+area{_grounds_text(it)}. Cross: the estimate; dashed ellipse and filled contour: its 95% region. North is up.
+</figcaption></figure>
 {near}
 </div>"""
+
+
+def _vehicles_text(it: Findings) -> str:
+    return " of each vehicle, its name where it began" if len(it.flight.tracks) > 1 else ""
+
+
+def _grounds_text(it: Findings) -> str:
+    walls = "; grey: buildings and what was kept out of" if it.flight.walls else ""
+    return walls + ("; dash-dotted: what no way might leave" if it.flight.fence else "")
 
 
 def _not_found(it: Findings) -> str:
@@ -291,7 +301,11 @@ def _provenance(it: Findings) -> list[tuple[str, str]]:
     figures = as_json(it)
     record, made, flight = figures["record"], figures["made_by"], it.flight
     rows = [
-        ("Readings", f"{len(flight.samples):,} in {figures['distance_m']:.1f} m"),
+        (
+            "Readings",
+            f"{len(flight.samples):,} in {figures['distance_m']:.1f} m"
+            + (f", of {len(flight.tracks)} vehicles" if len(flight.tracks) > 1 else ""),
+        ),
         ("First and last reading", f"{utc(flight.began_ns)} to {utc(flight.ended_ns)} (UTC)"),
         (
             "Home",

@@ -35,16 +35,16 @@ def verdict(flight: Flight, told: Told) -> Judgement:
         if reasons := _doubts(flight, told):
             return Judgement(
                 DOUBTFUL,
-                f"A source was located after {last.step + 1} readings, but the find is doubtful: "
+                f"A source was located after {flight.read_text}, but the find is doubtful: "
                 f"{'; '.join(reasons)}.",
                 reasons,
             )
-        return Judgement(FOUND, f"A source was found after {last.step + 1} readings.")
+        return Judgement(FOUND, f"A source was found after {flight.read_text}.")
     reasons = _withheld(flight)
     if last.spread < NARROW_M and reasons:
         return Judgement(
             DOUBTFUL,
-            f"The belief is narrow after {last.step + 1} readings, but the search claims no find: "
+            f"The belief is narrow after {flight.read_text}, but the search claims no find: "
             f"{'; '.join(reasons)}.",
             reasons,
         )
@@ -54,7 +54,7 @@ def verdict(flight: Flight, told: Told) -> Judgement:
         else "the readings need no source to explain them"
     )
     return Judgement(
-        NOT_FOUND, f"No source was found in {last.step + 1} readings: {met}.", _withheld(flight, narrow=False)
+        NOT_FOUND, f"No source was found in {flight.read_text}: {met}.", _withheld(flight, narrow=False)
     )
 
 

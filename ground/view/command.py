@@ -16,6 +16,7 @@ from link import cli
 from link.bus.opening import DEFAULT_ROUTER
 from plume.randomness import MAX_SEED
 from plume.worlds.names import OURS, check, kinds
+from scene.follow.described import outlines
 from sitl.script.script import Script, load, shipped
 
 PORT = 8447
@@ -149,6 +150,7 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
                 "problem": script.problem,
                 "scenario": script.simulated().truth,
                 "seed": script.seed,
+                "walls": outlines(script.world),
             }
         )
     )

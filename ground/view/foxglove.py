@@ -25,9 +25,10 @@ from starlette.websockets import WebSocket
 
 from ground.view.access import AccessRules
 from ground.view.serving import converse, guarded
+from link.bus.keys import OF_VEHICLE
 from link.bus.messages import Belief
 from link.record.decoded import struct_schema
-from scene.foxglove import SceneEncoder, schema_of
+from scene.foxglove import Fix, SceneEncoder, schema_of
 from scene.scene import Measurement, Scene
 
 HOST = "127.0.0.1"
@@ -62,7 +63,7 @@ class LiveFoxglove:
     Viewers can only look: the server takes no commands.
 
     The first vehicle has the topics and frames of a record; those of others begin with their names:
-    `uav/2/scene/path`.
+    `uav/2/scene/path`. Of a search by several they do not have what all vehicles share.
     """
 
     def __init__(self, port: int, origins: Sequence[str] = ()) -> None:
@@ -70,6 +71,7 @@ class LiveFoxglove:
         self._rules = AccessRules(HOST, port, origins=tuple(origins), programs=True)
         self._loop = asyncio.get_running_loop()
         self._encoders: dict[str, SceneEncoder] = {}
+        self._first_home: Fix | None = None
         self._measurements: dict[str, Measurement] = {}
         self._topics: dict[str, dict[str, Any]] = {}  # as they are announced
         self._newest: dict[str, Said] = {}  # of each topic
@@ -87,9 +89,14 @@ class LiveFoxglove:
     def show(self, scene: Scene) -> None:
         """Send what has changed in a vehicle's scene. One thread at a time may call it, any one."""
         now_ns, vehicle = time.time_ns(), scene.backdrop.vehicle
-        prefix = "" if vehicle == next(iter(self._encoders), vehicle) else f"{vehicle}/"
-        encoder = self._encoders.setdefault(vehicle, SceneEncoder(prefix))
-        said: list[tuple[str, Any, bytes]] = list(encoder.encode(scene, now_ns))
+        first = next(iter(self._encoders), vehicle)
+        search = first.rpartition(OF_VEHICLE)[0]  # `search/1/`; empty if the first one searches alone
+        together = bool(search) and vehicle.startswith(search + OF_VEHICLE)
+        prefix = "" if vehicle == first else f"{vehicle.removeprefix(search)}/"
+        encoder = self._encoders.setdefault(vehicle, SceneEncoder(prefix, aside=bool(prefix) and together))
+        if not prefix:
+            self._first_home = scene.home
+        said: list[tuple[str, Any, bytes]] = list(encoder.encode(scene, now_ns, self._first_home))
         last = scene.measurements[-1] if scene.measurements else None
         if last is not None and last is not self._measurements.get(vehicle):
             self._measurements[vehicle] = last
@@ -185,5 +192,16 @@ def _belief(said: Measurement) -> bytes:
             "mean": said.estimate,
             "covariance": said.covariance,
             "ceased": said.ceased,
+            "p_value": said.p_value,
+            "evidence": said.evidence,
+            "outside": said.outside,
+            "intermittency": said.intermittency,
+            "advised_dwell": said.advised_dwell_s,
+            **({"wind": said.wind} if said.wind else {}),
+            **(
+                {"effective_sample_size": said.effective_sample_size}
+                if math.isfinite(said.effective_sample_size)
+                else {}
+            ),
         }
     ).encode()

@@ -132,6 +132,7 @@ class LiveVehicle:
         backdrop = self.history.backdrop
         return {
             "name": self.name,
+            "search": _search_of(self.name),
             "title": backdrop.title,
             "here": self.here,
             "has_truth": backdrop.release is not None,

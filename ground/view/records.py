@@ -7,23 +7,25 @@ from typing import Any
 from urllib.parse import quote
 
 from link.record.reader import read
-from scene.follow.history import History, history_of, remark_on
+from scene.follow.history import History, histories_of, remark_on
 from scene.scene import Scene
 
 
 class RecordedVehicle:
-    """One record."""
+    """One vehicle of a record."""
 
     version = 0
 
-    def __init__(self, name: str, history: History, path: Path) -> None:
-        self.name, self.path = name, path
+    def __init__(self, name: str, history: History, path: Path, search: str = "") -> None:
+        """Take its name on the page; `search`: the name of the record, if several vehicles search in it."""
+        self.name, self.path, self.search = name, path, search or name
         self._history = history
 
     def entry(self) -> dict[str, Any]:
         """Return its row of the list of vehicles."""
         return {
             "name": self.name,
+            "search": self.search,
             "title": self._history.backdrop.title,
             "here": True,
             "has_truth": self._history.backdrop.release is not None,
@@ -46,7 +48,7 @@ class RecordedVehicle:
 
 
 class RecordedFleet:
-    """One record, or two to compare."""
+    """The vehicles of one record, or of two to compare."""
 
     list_version = 0
 
@@ -56,12 +58,15 @@ class RecordedFleet:
         self.damaged = False  # whether pieces of them are missing
         remarks: list[str] = []
         for number, path in enumerate(paths, start=1):
-            name = path.stem if path.stem not in self.vehicles else f"{path.stem} ({number})"
+            taken = {vehicle.search for vehicle in self.vehicles.values()}
+            name = path.stem if path.stem not in taken else f"{path.stem} ({number})"
             recording = read(path)
-            history = history_of(recording, name)
+            histories = histories_of(recording, name)
             self.damaged |= bool(recording.damage)
-            self.vehicles[name] = RecordedVehicle(name, history, path)
-            if remark := remark_on(recording, history):
+            for history in histories:
+                called = history.backdrop.vehicle
+                self.vehicles[called] = RecordedVehicle(called, history, path, name)
+            if remark := remark_on(recording, histories[0]):
                 remarks.append(f"the record {name} {remark}")
         self.notice = "; ".join(remarks)  # what people should know of the files
 

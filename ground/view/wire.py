@@ -72,6 +72,7 @@ def packed(
         "published_ms": published_ms,
         "truth": None if shown is None else {"sources": shown.sources},
         "walls": scene.backdrop.walls if begins else None,
+        "fence": scene.backdrop.fence if begins else None,
         "arrays": [{**about, "shape": array.shape} for about, array in arrays],
     }
     sent.measurements, sent.happenings = len(scene.measurements), len(scene.happenings)
@@ -136,6 +137,7 @@ def _craft(craft: Craft) -> dict[str, Any]:
         "gps": it.gps,
         "health": it.health,
         "lost": it.lost,
+        "radio": it.radio,
     }
 
 

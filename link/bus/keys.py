@@ -74,8 +74,7 @@ MAVLINK_OUT = Key(
     "acknowledgement: send the command again until one comes, or until HEARTBEAT shows its mode. A bridge "
     "may bring other systems; the "
     "vehicle is the one that `health/uav` tells. Of a real vehicle these are its autopilot's own frames, "
-    "unchanged, and, as component 191, "
-    "those of its search.",
+    "unchanged, RADIO_STATUS of the radio on its link, and, as component 191, those of its search.",
     writers=(VEHICLE, BRIDGE),
     readers=(BRIDGE, ROS2),
     own=True,

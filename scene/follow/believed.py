@@ -53,7 +53,8 @@ def scatter(said: Belief, cloud: Particles) -> Scatter:
     places = np.empty((len(cloud), 2), np.float32)
     for column, name in enumerate("xy"):
         known = name not in said.unknowns
-        places[:, column] = said.mean[column] if known else cloud[:, said.unknowns.index(name)]
+        with np.errstate(over="ignore"):  # a record may say absurd things
+            places[:, column] = said.mean[column] if known else cloud[:, said.unknowns.index(name)]
     return Scatter(places, cloud[:, -1].copy())
 
 
@@ -69,7 +70,7 @@ def quantiles(values: Floats, weights: Floats, shares: tuple[float, ...]) -> lis
 
 def radius(scatter: Scatter, middle: tuple[float, float], share: float = SHARE) -> float:
     """Return within which distance, m, of a place so much of the belief lies."""
-    away = np.hypot(*(scatter.places - np.array(middle, np.float32)).T)
+    away = np.hypot(*(scatter.places - np.array(middle)).T)  # in float64: a belief may say absurd things
     return quantiles(away, scatter.weights, (share,))[0]
 
 

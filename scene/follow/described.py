@@ -5,14 +5,18 @@ import re
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
+from msgspec import Meta
 
-from plume.problem import PAPER, Problem, in_area, square
+from plume.problem import FARTHEST_M, PAPER, Problem, in_area, square
 from plume.scenario import Scenario
-from plume.walls.buildings import read
+from plume.walls.buildings import MOST_BUILDINGS, read
 from scene.scene import Backdrop, Point, Release
+
+Outlines = tuple[tuple[Point, ...], ...]
+BUILDINGS = re.compile(r"(?:^|\+)walls:(?:[^+]*,)?file=([^,+]+)")  # the file of a world with buildings
 
 
 class WindTurn(NamedTuple):
@@ -49,6 +53,7 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
         release=release,
         area=problem.area,
         walls=(*_walls(about), *problem.keep_out),
+        fence=problem.keep_in or (),
     )
     return backdrop, budget if isinstance(budget, int) else None
 
@@ -62,16 +67,43 @@ def problem_of(about: dict[str, Any]) -> Problem:
     return PAPER
 
 
-def _walls(about: dict[str, Any]) -> tuple[tuple[Point, ...], ...]:
-    """Return the outlines of the buildings of a run's world; none if their file is not here."""
+def outlines(world: str) -> Outlines:
+    """Return the outlines of the buildings of a world, rounded to a centimetre; none if it has none.
+
+    It reads the file that the world names: not for a world of a record, which may come from a stranger.
+    """
+    walled = BUILDINGS.search(world)
+    with suppress(ValueError):
+        return tuple(
+            tuple((round(x, 2), round(y, 2)) for x, y in each.footprint)
+            for each in (read(walled[1]).buildings if walled else ())
+        )
+    return ()
+
+
+def _walls(about: dict[str, Any]) -> Outlines:
+    """Return the outlines of the buildings of a run's world: those that its description has.
+
+    One without them names an example that ships; a file of this machine is not read.
+    """
+    if "walls" in about:
+        with suppress(msgspec.ValidationError):
+            told: Outlines = msgspec.convert(
+                about["walls"], Annotated[Outlines, Meta(max_length=MOST_BUILDINGS)]
+            )
+            if all(len(outline) >= 3 and _is_near(outline) for outline in told):
+                return told
+        return ()
     mission = about.get("mission")
     world = mission.get("world") if isinstance(mission, dict) else None
-    walled = re.search(r"(?:^|\+)walls:(?:[^+]*,)?file=([^,+]+)", world) if isinstance(world, str) else None
-    if walled is None or not (re.fullmatch(r"[\w-]+", walled[1]) or Path(walled[1]).is_file()):
+    if not isinstance(world, str) or not (walled := BUILDINGS.search(world)):
         return ()
-    with suppress(ValueError):
-        return tuple(each.footprint for each in read(walled[1]).buildings)
-    return ()
+    ships = re.fullmatch(r"[\w-]+", walled[1]) and not Path(walled[1]).exists()
+    return outlines(world) if ships else ()
+
+
+def _is_near(outline: tuple[Point, ...]) -> bool:
+    return all(abs(part) <= FARTHEST_M for corner in outline for part in corner)
 
 
 def turns_of(about: dict[str, Any]) -> list[WindTurn] | None:

@@ -10,18 +10,19 @@ from typing import Any
 import msgspec
 
 from link.bus.frames import Frame
-from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT, row_name, vehicle_of
+from link.bus.keys import BELIEF, MAVLINK_OUT, OF_VEHICLE, READING, STOP, WAYPOINT, row_name, vehicle_of
 from link.bus.mavlink import Texts, continued, unpack_reading
 from link.bus.messages import Belief, Health, Particles, Stop, by_number, unpack_particles
+from link.cli import MOST_VEHICLES
 from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
 from link.record.reader import Recording
-from link.record.record import HEALTH_PREFIX, began_s
+from link.record.record import HEALTH_PREFIX, Entry, began_s
 from scene.follow.area import HEARTBEAT, PLACING, AreaFrame, Fix
 from scene.follow.believed import gauge_of, measured, scatter
 from scene.follow.described import WindTurn, backdrop_of, turns_of
 from scene.follow.parts import LONGEST, Parts
-from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, frames, level_of, seen, waypoint
+from scene.follow.telemetry import LOCAL, RADIO, SETPOINT, SHOWN, TEXT, frames, level_of, seen, waypoint
 from scene.follow.timed import MOST, Timed, Trail
 from scene.scene import (
     INFO,
@@ -42,6 +43,7 @@ from scene.scene import (
 TRACK_STEP_M = 0.1  # the track gets a point when the vehicle has moved this far
 FIRST = 1  # of several vehicles that search together, the one that is followed as a rule
 RESTART_MS = 1000  # a vehicle whose own time goes back by more was started again
+TICK_S = 1e-6  # least time between two messages of a search by several
 NOWHERE = math.nan, math.nan
 
 
@@ -69,7 +71,6 @@ class History:
         self.backdrop = backdrop  # as it is at first
         self._number = number
         self._round: tuple[int, ...] = (number,)  # the numbers of those that took part in the newest round
-        self._beside: tuple[tuple[Point, float], ...] = ()  # what others read in the newest round
         self.own = OwnSystem()  # which system the vehicle is
         self.is_real = False  # whether a search flies a real autopilot: it speaks beside it, under its id
         self.time_s = self.wall_s = 0.0  # of the newest message, by the simulation and by the clock
@@ -150,8 +151,7 @@ class History:
                 case BELIEF.name:
                     seen = by_number(msgspec.json.decode(payload, type=Belief))
                     self._round = tuple(seen)
-                    own = seen.pop(self._number, None) or self._stayed(seen)
-                    self._beside = tuple((each.position, each.gas) for each in seen.values())
+                    own = seen.get(self._number) or self._stayed(seen)
                     return self._take_belief(own, attachment, time_s)
                 case STOP.name:
                     return self._take_stop(msgspec.json.decode(payload, type=Stop), time_s)
@@ -180,22 +180,27 @@ class History:
         self._parts.lives(service, alive, self.time_s, wall_s)
 
     def _counts(self, frame: Frame) -> bool:
-        """Whether a frame is the vehicle's own, or one of the search that flies it."""
-        return self.own.sent(frame) or (frame.message_id in (TEXT, HEARTBEAT) and self.own.searched(frame))
+        """Whether a frame is the vehicle's own, of its radio, or one of the search that flies it."""
+        return (
+            self.own.sent(frame)
+            or frame.message_id == RADIO
+            or (frame.message_id in (TEXT, HEARTBEAT) and self.own.searched(frame))
+        )
 
     def _take_telemetry(self, payload: bytes, time_s: float) -> bool:
-        before, changed = self.craft, False
+        before, changed, heard = self.craft, False, False
         for frame, fields in frames(payload, SHOWN, self._counts):
             changed, is_own = True, self.own.sent(frame)
+            heard |= frame.message_id != RADIO
             if frame.message_id == HEARTBEAT:
                 self.is_real |= not is_own or fields["autopilot"] == ARDUPILOT
             if frame.message_id == TEXT:
                 who = "uav" if is_own else "search"
                 if text := self._texts[who].joined(fields["text"], fields["id"], fields["chunk_seq"]):
                     self._happened(time_s, level_of(fields["severity"]), who, text)
-            elif is_own:
+            elif is_own or frame.message_id == RADIO:
                 self._take_own(frame.message_id, fields, time_s)
-        self._heard_s = self.wall_s if changed else self._heard_s
+        self._heard_s = self.wall_s if heard else self._heard_s
         if self.craft and self.craft is not before:
             self._crafts.add(time_s, self.craft)
         return changed
@@ -225,8 +230,7 @@ class History:
         if last is not None and said.step <= last.step:
             return False  # repeated
         cloud = _cloud(said, attachment) if attachment else None
-        it = measured(said, cloud, time_s, self._winds.at())
-        self.measurements.add(time_s, replace(it, others=self._beside) if self._beside else it)
+        self.measurements.add(time_s, measured(said, cloud, time_s, self._winds.at()))
         self._stop, self._assume, self._gauge = said.stop, said.assume, gauge_of(said.sensor)
         if attachment:
             self._scatters.add(time_s, None if cloud is None else scatter(said, cloud))
@@ -323,12 +327,48 @@ def begun(about: dict[str, Any], vehicle: str = "", *, whole: bool = False, numb
     return History(*backdrop_of(about, vehicle), turns=turns_of(about), whole=whole, number=number)
 
 
+def histories_of(recording: Recording, vehicle: str = "") -> list[History]:
+    """Return all that a record tells of each vehicle: one, or those of a search by several, by number.
+
+    vehicle: the name of one alone; in a search it comes before `uav/1`, `uav/2`, …
+    """
+    numbers, entries = vehicles_of(recording), on_one_clock(recording)
+    histories: list[History] = []
+    for number in numbers or [FIRST]:
+        name = f"{vehicle} {OF_VEHICLE}{number}".strip() if numbers else vehicle
+        histories.append(begun(recording.about, name, whole=True, number=number))
+        for entry in entries:
+            histories[-1].take(
+                entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9
+            )
+    return histories
+
+
+def vehicles_of(recording: Recording) -> list[int]:
+    """Return the numbers of the vehicles of a search by several that a record has; none of one alone."""
+    said = {int(number) for entry in recording.entries if (number := vehicle_of(entry.key))}
+    return sorted(said & set(range(FIRST, FIRST + MOST_VEHICLES)))
+
+
+def on_one_clock(recording: Recording) -> list[Entry]:
+    """Return the messages in the order of publication; all vehicles have the clock of the last one.
+
+    Each has a clock of its own, by which one that waits for the others in a fast simulation is earlier. While
+    the last one's stands still, each message is a little later than the one before it.
+    """
+    entries = sorted(recording.entries, key=lambda entry: entry.published_ns)
+    last, now_s = vehicles_of(recording)[-1:], 0.0
+    for i, entry in enumerate(entries if last else ()):
+        now_s += TICK_S
+        if entry.key in (BELIEF.name, STOP.name) or vehicle_of(entry.key) == str(last[0]):
+            now_s = max(now_s, entry.simulation_s)
+        entries[i] = entry._replace(simulation_s=now_s)
+    return entries
+
+
 def history_of(recording: Recording, vehicle: str = "") -> History:
-    """Return all that a record tells."""
-    history = begun(recording.about, vehicle, whole=True)
-    for entry in sorted(recording.entries, key=lambda entry: entry.published_ns):
-        history.take(entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9)
-    return history
+    """Return all that a record tells of its first vehicle."""
+    return histories_of(recording, vehicle)[0]
 
 
 def remark_on(recording: Recording, history: History) -> str:

@@ -14,9 +14,11 @@ from scene.follow.area import PLACING, AreaFrame
 from scene.scene import ERROR, INFO, WARNING, Condition, Craft, Point
 
 ATTITUDE, LOCAL, GLOBAL, TEXT, SETPOINT = 30, 32, 33, 253, 84
-CONDITION = {1, 24, 168, 193, 230, 231}  # messages that tell of the vehicle's condition, see `_condition`
+RADIO = 109  # RADIO_STATUS, of the radio on the vehicle's link: it goes on where the vehicle is silent
+# Messages that tell of the vehicle's condition, see `_condition`.
+CONDITION = {1, 24, RADIO, 168, 193, 230, 231}
 SHOWN = PLACING | CONDITION | {ATTITUDE, LOCAL, GLOBAL, TEXT}
-UNKNOWN_MV, UNKNOWN_SATELLITES = 0xFFFF, 0xFF
+UNKNOWN_MV, UNKNOWN_SATELLITES, UNKNOWN_SIGNAL = 0xFFFF, 0xFF, 0xFF
 # GPS_RAW_INT's fix_type (GPS_FIX_TYPE).
 FIXES = (
     "no GPS",
@@ -98,6 +100,10 @@ def _condition(known: Condition, message_id: int, fields: dict[str, Any]) -> Con
             words = FIXES[kind] if kind < len(FIXES) else f"fix type {kind}"
             counted = "" if satellites == UNKNOWN_SATELLITES else f", {satellites} satellites"
             return replace(known, gps=words + counted)
+        case 109:  # RADIO_STATUS
+            ends = [fields[name] for name in ("rssi", "remrssi")]
+            here, there = (math.nan if end == UNKNOWN_SIGNAL else float(end) for end in ends)
+            return replace(known, radio=None if math.isnan(here) and math.isnan(there) else (here, there))
         case 168:  # WIND, ArduPilot's: whence, degrees clockwise from north; infinity % 360 is NaN
             speed, angle = fields["speed"], math.radians(fields["direction"] % 360)
             return replace(known, wind=_wind(speed * math.sin(angle), speed * math.cos(angle)))

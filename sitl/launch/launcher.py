@@ -25,6 +25,7 @@ from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.problem import PAPER
 from plume.scenario import AS_MODELLED
+from scene.follow.described import outlines
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.heard import MissionHeard, await_services
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments, uav_arguments
@@ -165,6 +166,8 @@ def start_parts(
         "budget": script.budget,
         "parts": services,
     }
+    if walls := outlines(script.world):  # who reads the record need not have the world's file
+        about["walls"] = walls
     if truth := mission.truth:
         about["scenario"] = truth
     if mission.numbers:

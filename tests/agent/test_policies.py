@@ -290,7 +290,10 @@ def test_no_waypoint_is_rounded_out_of_the_area(plug: Plug, seen: tuple[Belief, 
     ("flags", "line"),
     [
         (("--policy", "empty.zip"), "--policy: empty.zip: not a bundle: File is not a zip file; wanted "),
-        (("--policy", "a.zip", "--headings", "4"), "--headings is for planners; a.zip moves as it was"),
+        pytest.param(
+            *(("--policy", "a.zip", "--headings", "4"), "--headings is for planners; a.zip moves as it was"),
+            marks=pytest.mark.full,
+        ),
     ],
     ids=["empty", "headings"],
 )
@@ -494,6 +497,7 @@ def test_a_bundle_flies_the_same_over_the_bus(tmp_path: Path, schema: str, move:
     assert len(over_the_bus["trace"]) == 11
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_a_policy_of_another_package_is_evaluated_by_all_workers(tmp_path: Path, packages: Path) -> None:
     chosen = (
@@ -513,6 +517,7 @@ def test_a_policy_of_another_package_is_evaluated_by_all_workers(tmp_path: Path,
     assert json.loads(done.stdout.splitlines()[-1])["drawn"]["missions"] == 3
 
 
+@pytest.mark.full
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "words"),
@@ -531,6 +536,7 @@ def test_a_package_that_does_not_fit_is_refused_before_anything_flies(
         assert words in said
 
 
+@pytest.mark.full
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "words"),

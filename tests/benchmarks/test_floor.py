@@ -14,6 +14,8 @@ from agent.trials.floor import floors_m
 from benchmarks import floor
 from plume.scenario import Scenario, draw
 
+pytestmark = pytest.mark.full
+
 ROOT = Path(__file__).parents[2]
 CALM = Scenario(source=(15.0, 15.0), q=300.0, u=0.0, phi=0.0, d=4.5, tau=10.0, start=(12.0, 15.0))
 WINDY = Scenario(source=(15.0, 15.0), q=300.0, u=2.0, phi=2.5, d=3.0, tau=10.0, start=(13.0, 13.5))

@@ -14,6 +14,8 @@ from plume.dispersion import concentration
 from plume.parameters import CV
 from plume.scenario import AREA_M, draw
 
+pytestmark = pytest.mark.full
+
 CELLS = np.array([[1.0, 2.0, 4.0], [3.0, 3.0, 7.0]])
 
 

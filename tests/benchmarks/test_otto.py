@@ -31,6 +31,8 @@ from benchmarks.otto_value import Layers, layers
 from plume.elementary import Array
 from plume.randomness import keyed
 
+pytestmark = pytest.mark.full
+
 SMALL = Case("small", Isotropic(1.0, 1.0), (3, 3), 2, (1, 1), 100, True, NEARLY)
 
 

@@ -12,6 +12,8 @@ from benchmarks import puffs
 from benchmarks.puffs import EVERY_S, EXCEEDED, FIGURES, PAGE, PICTURE, RELEASE, WORLDS, law, page, read
 from plume.worlds.names import named
 
+pytestmark = pytest.mark.full
+
 
 def test_gas_that_is_there_a_quarter_of_the_time_has_the_figures_worked_by_hand() -> None:
     """Gas 4 in one of four times: mean 1, mean square 4, cv √3; (3, −1, −1, −1)/√3 has the third moment

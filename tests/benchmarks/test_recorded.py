@@ -16,6 +16,8 @@ from plume.scenario import draw
 from plume.worlds.names import named
 from plume.worlds.world import World
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

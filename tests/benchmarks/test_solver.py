@@ -20,6 +20,8 @@ from benchmarks.solver import (
     solved,
 )
 
+pytestmark = pytest.mark.full
+
 SMALL = Grid((40, 32), (8, 16))
 
 

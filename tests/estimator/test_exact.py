@@ -140,6 +140,7 @@ def test_readings_at_one_place_in_still_air_leave_a_ring(repeats: int) -> None:
 
 
 # Down to 0.04 m, within the source itself; a thin ridge.
+@pytest.mark.full
 @pytest.mark.parametrize("seed", [1_000_000, pytest.param(1_000_032, marks=pytest.mark.full)])
 def test_the_zooming_grid_agrees_with_a_fine_one_over_the_whole_area(seed: int) -> None:
     s = draw(seed)

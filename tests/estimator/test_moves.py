@@ -225,6 +225,7 @@ def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: S
     assert np.array_equal(particles, np.where(wanted, proposals, start))
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_correlated_unknowns_stay_posterior_at_the_ends_of_their_support() -> None:
     """Readings tell q · gain alone, and both ends of that curve are cut off: reflected steps would not be

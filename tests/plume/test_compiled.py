@@ -164,6 +164,7 @@ def test_kernels_use_only_what_stands_in_their_folder_and_in_plume() -> None:
     assert checked > 50
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_kernels_of_another_processor_or_library_are_not_run_and_stay_beside(tmp_path: Path) -> None:
     write(tmp_path)
@@ -175,6 +176,7 @@ def test_kernels_of_another_processor_or_library_are_not_run_and_stay_beside(tmp
     assert run(tmp_path) == (USUAL, 3)
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_kernels_are_kept_where_one_says_else_beside_the_code_else_with_the_user_else_nowhere(
     tmp_path: Path,
@@ -196,6 +198,7 @@ def test_kernels_are_kept_where_one_says_else_beside_the_code_else_with_the_user
     assert [run(tmp_path), run(tmp_path)] == [(USUAL, 0), (USUAL, 0)]
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_files_that_a_crash_cut_off_are_made_anew(tmp_path: Path) -> None:
     write(tmp_path)
@@ -207,6 +210,7 @@ def test_files_that_a_crash_cut_off_are_made_anew(tmp_path: Path) -> None:
         assert [run(tmp_path), run(tmp_path)] == [(USUAL, 0), (USUAL, 3)], (suffix, share)
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_a_full_disk_keeps_no_kernel_from_running(tmp_path: Path) -> None:
     write(tmp_path)
@@ -217,6 +221,7 @@ def test_a_full_disk_keeps_no_kernel_from_running(tmp_path: Path) -> None:
     assert [run(tmp_path), run(tmp_path)] == [(USUAL, 0), (USUAL, 3)]
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_processes_may_compile_at_once_whatever_their_hashes(tmp_path: Path) -> None:
     write(tmp_path)
@@ -264,6 +269,7 @@ functions give it the same number in the processes that compile them.
 """
 
 
+@pytest.mark.full
 def test_kernels_that_were_compiled_in_two_processes_call_their_own_functions_in_a_third(
     tmp_path: Path,
 ) -> None:

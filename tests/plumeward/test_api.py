@@ -178,6 +178,7 @@ def test_readings_of_ones_own_give_the_beliefs_of_a_mission() -> None:
         assert (said.mean, said.spread) == (point.mean, point.spread)
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_figures_are_those_of_the_missions_one_by_one() -> None:
     seeds = range(1_000_000, 1_000_006)
@@ -197,6 +198,7 @@ def test_figures_are_those_of_the_missions_one_by_one() -> None:
     )
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_policies_are_compared_in_several_worlds() -> None:
     both = plumeward.evaluate("homing", 4, particles=200, budget=60, world=["as-modelled", "gain-halved"])

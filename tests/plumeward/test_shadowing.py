@@ -52,6 +52,7 @@ def test_the_parts_of_a_mission_that_a_module_flies_are_ours(tmp_path: Path) -> 
     assert result(run(tmp_path, sys.executable, "-m", "sitl", "fly", *BRIEF))["steps"] == 2
 
 
+@pytest.mark.full
 def test_as_a_module_it_flies_beside_all_but_a_file_of_its_own_name(tmp_path: Path) -> None:
     folder(tmp_path, *PACKAGES[:-1])
     assert result(run(tmp_path, sys.executable, "-m", "plumeward", "fly", *BRIEF))["steps"] == 2

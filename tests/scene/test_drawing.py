@@ -65,15 +65,40 @@ def is_orange(colour: np.ndarray) -> bool:
 
 def test_path_readings_and_curves_are_those_of_the_measurements(drawing: Any) -> None:
     drawing.show(scene())
-    assert drawing.path.get_xydata().tolist() == [list(place) for place in PLACES]
+    (vehicle,) = drawing.vehicles
+    assert vehicle.path.get_xydata().tolist() == [list(place) for place in PLACES]
     assert drawing.readings.get_offsets().tolist() == [list(place) for place in PLACES]
     assert drawing.readings.get_array().tolist() == [0.1, -0.2, 7.0, 31.0]
     assert drawing.spreads.get_xydata().tolist() == [[0, 9.0], [1, 4.0], [2, 2.0], [3, 0.4]]
-    assert drawing.gases.get_xydata().tolist() == [[0, 0.1], [1, -0.2], [2, 7.0], [3, 31.0]]
+    assert vehicle.gases.get_xydata().tolist() == [[0, 0.1], [1, -0.2], [2, 7.0], [3, 31.0]]
     assert any(set(line.get_ydata()) == {0.5} for line in drawing.spread.lines)  # ζ
-    for chart, curve in ((drawing.spread, drawing.spreads), (drawing.gas, drawing.gases)):
+    for chart, curve in ((drawing.spread, drawing.spreads), (drawing.gas, vehicle.gases)):
         (left, right), (low, high) = chart.get_xlim(), chart.get_ylim()
         assert all(left < x < right and low < y < high for x, y in curve.get_xydata())
+
+
+def test_each_vehicle_of_a_search_has_its_way_its_gas_and_its_name() -> None:
+    places = [(20.0, 20.0), (21.0, 20.0)]
+    taken = [replace(it, position=place, gas=5.0) for it, place in zip(TAKEN, places, strict=False)]
+    other = replace(scene(2), backdrop=Backdrop("uav/2"), measurements=taken)
+    both = blank(scene(2), steps=4, beside=[other]).show(scene(2), [other])
+    first, second = both.vehicles
+    assert second.path.get_xydata().tolist() == [list(place) for place in places]
+    assert second.gases.get_xydata().tolist() == [[0, 5.0], [1, 5.0]]
+    assert both.readings.get_array().tolist() == [0.1, -0.2, 5.0, 5.0]
+    assert first.path.get_color() != second.path.get_color() == second.gases.get_color()
+    (legend,) = both.figure.legends
+    assert [text.get_text() for text in legend.get_texts()][:2] == ["uav/1", "uav/2"]
+
+
+def test_buildings_are_filled_and_the_polygon_to_keep_in_is_a_line() -> None:
+    wall, fence = ((4.0, 4.0), (8.0, 4.0), (8.0, 9.0)), ((1.0, 1.0), (28.0, 1.0), (28.0, 28.0))
+    made = scene(release=None)
+    made = replace(made, backdrop=replace(made.backdrop, walls=(wall,), fence=fence))
+    (inside, line), ring = (drawn := blank(made).show(made)).map.patches[:2], drawn.map.patches[2:]
+    assert (inside.get_fill(), line.get_fill(), len(ring)) == (True, False, 1)
+    assert colour_at(drawn, (7.0, 5.0)).max() < 220
+    assert [tuple(corner) for corner in line.get_xy()[:3]] == list(fence)
 
 
 def test_the_belief_is_its_particles_with_area_by_weight_and_its_ellipse_of_two_deviations(

@@ -12,7 +12,18 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
 from scene.foxglove import LONGEST_PATH, Encoded, SceneEncoder, schema_of
-from scene.scene import STOPPED, WARNING, Backdrop, Craft, Happening, Measurement, Release, Scatter, Scene
+from scene.scene import (
+    STOPPED,
+    WARNING,
+    Backdrop,
+    Condition,
+    Craft,
+    Happening,
+    Measurement,
+    Release,
+    Scatter,
+    Scene,
+)
 
 STAMP_NS = 1_763_800_000_123_456_789
 METRE_DEG = 180.0 / (math.pi * 6_371_000.0)
@@ -33,6 +44,7 @@ SCENE = Scene(
     measurements=(FIRST,),
     scatter=Scatter(np.array([[1.5, 2.5], [3.0, -4.0]], np.float32), np.array([0.25, 0.75], np.float32)),
     waypoint=(4.0, 4.0),
+    wind=(0.0, 3.0),
     happenings=(
         Happening(9.0, WARNING, "estimator", "odd readings"),
         Happening(10.0, STOPPED, "estimator", "source found"),
@@ -43,6 +55,9 @@ ALL = {
     "vehicle",
     "area",
     "path",
+    "readings",
+    "wind",
+    "state",
     "particles",
     "estimate",
     "waypoint",
@@ -76,7 +91,7 @@ def said() -> dict[str, Any]:
 
 def test_the_first_scene_says_all_there_is_to_see(said: dict[str, Any]) -> None:
     assert set(said) == ALL
-    for topic in ALL - {"transforms", "vehicle", "area", "estimate", "waypoint", "source"}:
+    for topic in ALL - {"transforms", "vehicle", "area", "estimate", "waypoint", "source", "wind"}:
         assert said[topic].timestamp.ToNanoseconds() == STAMP_NS, topic
     for topic in ("vehicle", "area", "estimate", "waypoint", "source"):
         assert {entity.timestamp.ToNanoseconds() for entity in said[topic].entities} == {STAMP_NS}, topic
@@ -224,7 +239,7 @@ def test_only_what_changed_is_said() -> None:
     second = replace(FIRST, step=1, position=(4.0, 4.0))
     scene = replace(SCENE, measurements=(FIRST, second), waypoint=(5.0, 4.0))
     said = decoded(encoder.encode(scene, STAMP_NS))
-    assert set(said) == {"path"}  # the estimate is the same
+    assert set(said) == {"path", "readings"}  # the estimate is the same
     assert [(pose.position.x, pose.position.y, pose.orientation.w) for pose in said["path"].poses] == [
         (3.0, 4.0, 1.0),
         (4.0, 4.0, 1.0),
@@ -270,7 +285,52 @@ def test_an_operator_of_a_real_flight_sees_no_truth() -> None:
 def test_a_prefix_keeps_vehicles_apart() -> None:
     messages = SceneEncoder("uav/2/").encode(SCENE, STAMP_NS)
     assert all(topic.startswith("uav/2/scene/") for topic, _, _ in messages)
-    (transform,) = next(
+    home, transform = next(
         decode(kind, data) for topic, kind, data in messages if topic.endswith("transforms")
     ).transforms
+    assert (home.parent_frame_id, home.child_frame_id, home.translation.x) == ("map", "uav/2/map", 0.0)
     assert (transform.parent_frame_id, transform.child_frame_id) == ("uav/2/map", "uav/2/vehicle")
+
+
+def test_a_vehicle_with_another_home_lies_there() -> None:
+    scene = replace(SCENE, home=(60.0, 10.0, 100.0))
+    messages = SceneEncoder("uav/2/").encode(scene, STAMP_NS, (60.0 - 7.0 * METRE_DEG, 10.0, 100.0))
+    home, _ = decode(*next(each[1:] for each in messages if each.topic.endswith("transforms"))).transforms
+    assert (home.translation.x, home.translation.y) == pytest.approx((0.0, 7.0), abs=1e-6)
+
+
+def test_beside_the_first_vehicle_of_a_search_another_one_says_only_what_is_its_own() -> None:
+    said = {
+        topic.rpartition("scene/")[2] for topic, _, _ in SceneEncoder("uav/2/", aside=True).encode(SCENE, 1)
+    }
+    shared = {"area", "source", "plume", "particles", "estimate", "fix/estimate", "wind"}
+    assert said == ALL - shared
+
+
+def test_what_a_pilot_looks_for_stands_at_the_vehicle_and_the_state_is_a_sentence() -> None:
+    craft = replace(SCENE.craft, mode="OFFBOARD", condition=Condition(battery=0.2))
+    said = decoded(SceneEncoder().encode(replace(SCENE, craft=craft), STAMP_NS))
+    assert said["vehicle"].entities[0].texts[0].text == "uav/1 · OFFBOARD · 20%"
+    assert said["state"].message.startswith("Searching: the source is within 3.5 m of the cross (95%)")
+    assert said["state"].message.endswith("battery 20%")
+    assert said["estimate"].entities[1].texts[0].text == "95% within 3.5 m"
+
+
+def test_readings_are_points_with_their_gas_and_the_wind_is_an_arrow_to_where_air_flows(
+    said: dict[str, Any],
+) -> None:
+    points = np.frombuffer(said["readings"].data, "<f4").reshape(-1, 4)
+    assert points.tolist() == [[3.0, 4.0, 0.0, 0.5]]
+    turn = said["wind"].entities[0].arrows[0].pose.orientation
+    assert (turn.z, turn.w) == pytest.approx((math.sin(-math.pi / 4), math.cos(math.pi / 4)))  # southwards
+
+
+def test_buildings_and_the_polygon_to_keep_in_are_closed_lines() -> None:
+    wall, fence = ((4.0, 4.0), (8.0, 4.0), (8.0, 9.0)), ((1.0, 1.0), (28.0, 1.0), (28.0, 28.0))
+    backdrop = replace(SCENE.backdrop, walls=(wall,), fence=fence)
+    said = decoded(SceneEncoder().encode(replace(SCENE, backdrop=backdrop), STAMP_NS))
+    lines = {entity.id: [line for line in entity.lines] for entity in said["area"].entities}
+    for name, outline in (("walls", wall), ("keep_in", fence)):
+        assert [(line.type, [(at.x, at.y) for at in line.points]) for line in lines[name]] == [
+            (1, list(outline))
+        ]

@@ -62,6 +62,7 @@ def test_a_secured_mission_is_the_same_also_when_the_router_restarts(
     assert secured["trace"] == json.loads(out[-1])["trace"]
 
 
+@pytest.mark.full
 def test_a_secured_replay_gives_the_recorded_answers(tmp_path: Path, folder: Path) -> None:
     record = str(ROOT / "tests" / "golden" / "greedy-hits.mcap")
     verified = run(tmp_path, "sitl", "replay", record, "--speedup", "0", "--verify", "--secure", str(folder))

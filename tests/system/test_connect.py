@@ -28,6 +28,7 @@ def mission(tmp_path: Path) -> str:
     return "mission.yaml"
 
 
+@pytest.mark.full
 def test_it_is_the_mission_that_a_launcher_of_all_parts_flies_to_the_last_bit(
     start, router: str, mission: str, tmp_path: Path
 ) -> None:
@@ -51,6 +52,7 @@ def test_it_is_the_mission_that_a_launcher_of_all_parts_flies_to_the_last_bit(
     assert len(list((tmp_path / "runs").glob("*-connected-*.mcap"))) == 1
 
 
+@pytest.mark.full
 def test_an_expectation_that_does_not_hold_is_status_1_and_used_services_fly_no_second_mission(
     start, router: str, mission: str, tmp_path: Path
 ) -> None:

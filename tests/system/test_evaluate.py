@@ -53,6 +53,7 @@ def test_it_prints_the_figures_as_json_and_writes_a_row_a_mission(start, tmp_pat
     assert not list((tmp_path / "runs").iterdir())  # a completed sweep removes its journal
 
 
+@pytest.mark.full
 def test_an_interrupted_sweep_goes_on_where_it_was(start, tmp_path: Path, wait_until: Callable) -> None:
     command = (*QUICK, "--scenarios", "300", "--json")
     first = start(*command, cwd=tmp_path)
@@ -141,6 +142,7 @@ def test_workers_do_not_outlive_a_killed_sweep(start, tmp_path: Path, wait_until
     wait_until(lambda: all(map(gone, pids)))
 
 
+@pytest.mark.full
 def test_a_table_that_exists_is_written_over_only_when_asked_to(start, tmp_path: Path) -> None:
     table = tmp_path / "missions.csv"
     table.write_text("a year's work\n")

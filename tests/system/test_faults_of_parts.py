@@ -140,6 +140,7 @@ def plugged_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "packages"))
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("plugged_in")
 def test_a_policy_that_prints_much_neither_stops_its_mission_nor_mixes_with_the_outcome(
     start, tmp_path: Path
@@ -164,6 +165,7 @@ def test_a_policy_that_prints_much_neither_stops_its_mission_nor_mixes_with_the_
     assert mission.says("agent: a thought")
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("plugged_in")
 def test_processes_that_a_policy_leaves_behind_end_with_the_mission(
     start, wait_until: Callable, tmp_path: Path

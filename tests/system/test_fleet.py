@@ -2,20 +2,25 @@
 process that stays behind.
 """
 
+import csv
 import json
+import math
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from agent.trials.rollout import mission, rollout
+from ground.view.records import RecordedFleet
 from link.bus.keys import BELIEF, DEPARTURE, HEALTH, STOP
 from link.bus.mavlink import unpack_reading
 from link.bus.messages import Belief, Departure, Health, RoundReading, Stop, by_vehicle, pack_particles
@@ -24,6 +29,7 @@ from link.record.reader import read
 from plume.problems.fleet import Fleet
 from plume.randomness import derived_seed
 from plume.scenario import draw
+from scene.follow.history import histories_of
 from tests.system.conftest import Part
 from tests.system.live import run_agent, run_sitl
 from tests.system.pages import Browser, port_of
@@ -477,6 +483,53 @@ def test_a_log_and_findings_have_all_readings_and_all_metres(
         monkeypatch, capsys, "findings", str(recorded), "--out", str(tmp_path / "found")
     )
     assert status == 0, err
-    rows = (tmp_path / "found" / "readings.csv").read_text().splitlines()
-    assert len(rows) == 1 + 10
+    rows = list(csv.DictReader((tmp_path / "found" / "readings.csv").read_text().splitlines()))
+    assert [row["vehicle"] for row in rows] == ["1", "2"] * 5
+    found = json.loads((tmp_path / "found" / "findings.json").read_text())
+    ways = [
+        [(float(row["x_m"]), float(row["y_m"])) for row in rows if row["vehicle"] == vehicle]
+        for vehicle in ("1", "2")
+    ]
+    flown_m = sum(math.dist(a, b) for way in ways for a, b in pairwise(way))
+    assert (found["vehicles"], found["distance_m"]) == (2, pytest.approx(flown_m))
+    features = json.loads((tmp_path / "found" / "findings.geojson").read_text())["features"]
+    tracks = [each for each in features if each["properties"]["kind"] == "track"]
+    assert [each["properties"]["vehicle"] for each in tracks] == [1, 2]
+    page = (tmp_path / "found" / "findings.html").read_text()
+    assert "5 readings of each of 2 vehicles" in page
+    assert page.count(">uav/1</text>") == page.count(">uav/2</text>") >= 1
     assert run_sitl(monkeypatch, capsys, "draw", str(recorded), "--out", str(tmp_path / "two.png"))[0] == 0
+
+
+def test_viewers_find_each_vehicle_in_a_record_and_once_what_they_share(recorded: Path) -> None:
+    with recorded.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        topics = {channel.topic for channel in summary.channels.values()}
+    own = {f"scene/{name}" for name in ("vehicle", "path", "readings", "waypoint", "transforms", "state")}
+    shared = {f"scene/{name}" for name in ("particles", "estimate", "area", "plume", "source")}
+    assert own | shared <= topics
+    assert {f"uav/2/{topic}" for topic in own} <= topics
+    assert not {f"uav/2/{topic}" for topic in shared} & topics
+
+
+def test_a_record_tells_of_each_vehicle_on_one_clock(recorded: Path) -> None:
+    one, two = histories_of(read(recorded), "two")
+    assert [one.backdrop.vehicle, two.backdrop.vehicle] == ["two uav/1", "two uav/2"]
+    assert [len(each.measurements.values) for each in (one, two)] == [5, 5]
+    for first, second in zip(one.measurements.values, two.measurements.values, strict=True):
+        assert (first.estimate, first.time_s) == (second.estimate, second.time_s)
+        assert first.position != second.position
+        for history, measured in ((one, first), (two, second)):  # a vehicle is where it has read
+            craft = history.at(measured.time_s).craft
+            assert craft is not None
+            assert math.dist(craft.position, measured.position) < 1.1
+
+
+def test_the_page_of_a_record_has_each_vehicle_and_shows_the_search_once(recorded: Path) -> None:
+    fleet = RecordedFleet([recorded, recorded])
+    rows = [vehicle.entry() for vehicle in fleet.vehicles.values()]
+    assert [(row["name"], row["search"]) for row in rows] == [
+        *(("two uav/1", "two"), ("two uav/2", "two")),
+        *(("two (2) uav/1", "two (2)"), ("two (2) uav/2", "two (2)")),
+    ]

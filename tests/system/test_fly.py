@@ -168,11 +168,13 @@ def test_the_first_flight_says_once_that_it_compiles(
         assert sum(line == "compiling kernels, once, 15 to 60 s\n" for line in before) == expected
 
 
+@pytest.mark.full
 def test_a_spent_budget_is_an_outcome_not_a_failure(talkative: Flight) -> None:
     result = json.loads(talkative.out[-1])
     assert (result["ceased"], result["located"], result["steps"]) == (False, False, 5)
 
 
+@pytest.mark.full
 def test_results_go_to_stdout_unless_json_does_and_no_line_wraps_at_60_columns(
     in_vain: Flight, to_the_stop: Flight
 ) -> None:
@@ -217,6 +219,7 @@ def test_a_part_that_dies_is_named_and_ends_the_mission(
     assert nothing_is_left(pids)
 
 
+@pytest.mark.full
 def test_a_recorder_that_dies_is_told_and_the_mission_goes_on(
     start, family, wait_until: Callable, tmp_path: Path
 ) -> None:
@@ -327,6 +330,7 @@ def test_where_runs_cannot_be_written_a_mission_without_a_record_is_flown_and_la
     assert json.loads(mission.out[-1])["steps"] == 2
 
 
+@pytest.mark.full
 def test_what_exists_is_not_overwritten_without_force(
     start, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -353,6 +357,7 @@ def test_what_exists_is_not_overwritten_without_force(
     ]  # the record is where it was wanted
 
 
+@pytest.mark.full
 def test_a_second_launch_of_the_same_record_is_refused_and_leaves_the_firsts(
     start, wait_until: Callable, tmp_path: Path
 ) -> None:

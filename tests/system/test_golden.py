@@ -47,7 +47,9 @@ def test_a_golden_mission_is_answered_as_it_was(
     assert out[-1].startswith("verified: ")
 
 
-@pytest.mark.parametrize("name", ["ppo-hits", "infotaxis-gaussian-field"])
+@pytest.mark.parametrize(
+    "name", ["ppo-hits", pytest.param("infotaxis-gaussian-field", marks=pytest.mark.full)]
+)
 def test_so_it_is_by_the_command_and_its_own_processes(start, name: str) -> None:
     replay = start("sitl", "replay", str(path(name)), "--verify", "--speedup", "0")
     assert replay.ended() == 0, replay.err[-1]
@@ -61,6 +63,7 @@ def test_the_golden_missions_cover_stops_and_spent_budgets() -> None:
     assert set(GOLDEN) - stopped
 
 
+@pytest.mark.full
 def test_one_that_says_something_else_now_is_recorded_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -288,9 +288,8 @@ def in_process() -> dict:
     return result
 
 
-@pytest.mark.parametrize(
-    "version", [VERSIONS[0], *(pytest.param(version, marks=pytest.mark.full) for version in VERSIONS[1:])]
-)
+@pytest.mark.full
+@pytest.mark.parametrize("version", VERSIONS)
 def test_the_wheel_flies_a_shipped_policy_in_a_fresh_environment(
     install: Callable[[str], Installed], in_process: dict, tmp_path: Path, version: str
 ) -> None:
@@ -348,6 +347,7 @@ def test_a_shipped_mission_is_flown_by_its_name(own: Installed, tmp_path: Path) 
     )
 
 
+@pytest.mark.full
 def test_files_of_the_folder_that_it_is_run_in_are_not_taken_for_parts_of_it(
     own: Installed, tmp_path: Path
 ) -> None:
@@ -391,6 +391,7 @@ def test_a_mission_that_is_none_is_one_line_with_those_that_ship(own: Installed,
     assert ran.stderr == f"error: wnd-shift: {told}\n"
 
 
+@pytest.mark.full
 def test_the_command_and_the_module_take_the_same_command_lines(own: Installed, tmp_path: Path) -> None:
     for name in ("fly", "uav", "router", "status", "replay", "log", "record"):
         command, module = (

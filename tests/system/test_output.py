@@ -56,7 +56,7 @@ def ended(*arguments: str, cwd: Path, **streams: object) -> subprocess.Completed
         pytest.param(
             name,
             unbuffered,
-            marks=() if (name, unbuffered) in (("log", ""), ("evaluate", "1")) else pytest.mark.full,
+            marks=() if (name, unbuffered) in (("log", ""), ("log", "1")) else pytest.mark.full,
         )
         for name in COMMANDS
         for unbuffered in ("", "1")
@@ -90,10 +90,7 @@ def test_a_reader_who_leaves_stderr_and_stdout_ends_a_command_as_well(tmp_path: 
 
 @pytest.mark.parametrize(
     "name",
-    [
-        name if name in ("log", "evaluate") else pytest.param(name, marks=pytest.mark.full)
-        for name in COMMANDS
-    ],
+    [name if name == "log" else pytest.param(name, marks=pytest.mark.full) for name in COMMANDS],
 )
 def test_a_full_disk_is_one_line_and_status_1(name: str, tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
@@ -112,7 +109,11 @@ def test_a_failure_of_something_else_is_no_silent_end(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "result"),
-    [("rollout", "not ceased"), ("evaluate", "space-aware-infotaxis  "), ("log", "longest pause, s")],
+    [
+        ("rollout", "not ceased"),
+        pytest.param("evaluate", "space-aware-infotaxis  ", marks=pytest.mark.full),
+        ("log", "longest pause, s"),
+    ],
 )
 def test_results_go_to_stdout_and_with_json_only_the_json(
     monkeypatch: pytest.MonkeyPatch,
@@ -134,6 +135,7 @@ def test_results_go_to_stdout_and_with_json_only_the_json(
     assert result in "\n".join(err)
 
 
+@pytest.mark.full
 def test_a_file_holds_the_whole_table_and_the_progress_is_not_in_it(tmp_path: Path) -> None:
     done = ended(*EVALUATE, "--threshold", "0.5,2", cwd=tmp_path, stdout=subprocess.PIPE)
     caption, heads, *rows = done.stdout.splitlines()
@@ -156,6 +158,7 @@ def test_a_file_holds_the_whole_table_and_the_progress_is_not_in_it(tmp_path: Pa
     assert done.stderr.splitlines()[0] == "starting 1 worker for 4 missions"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "columns", [60, *(pytest.param(columns, marks=pytest.mark.full) for columns in (40, 80, 100, 200))]
 )

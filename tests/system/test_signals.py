@@ -60,6 +60,7 @@ def flying(folder: Path, family: Callable, wait_until: Callable) -> tuple[int, i
     return pid, terminal, parts
 
 
+@pytest.mark.full
 def test_a_mission_whose_terminal_is_closed_ends_and_its_record_is_whole(
     family, wait_until: Callable, tmp_path: Path
 ) -> None:

@@ -158,6 +158,7 @@ def test_every_vehicle_on_the_router_is_shown_and_one_that_is_not_well_is_status
         assert (code, list(report["vehicles"])) == (0, ["uav/1"])
 
 
+@pytest.mark.full
 def test_status_and_every_part_say_that_the_search_has_ceased(
     start, wait_until: Callable, tmp_path: Path, status: Status, table: Callable
 ) -> None:
@@ -187,6 +188,7 @@ def test_status_and_every_part_say_that_the_search_has_ceased(
         )
 
 
+@pytest.mark.full
 def test_a_watch_follows_who_comes_and_goes_until_interrupted(
     start, router: str, stack: dict[str, Any], wait_until: Callable
 ) -> None:

@@ -19,6 +19,7 @@ def flight(tmp_path: Path) -> Path:
     return gasflux(tmp_path / "flight.csv", Plume())
 
 
+@pytest.mark.full
 def test_a_table_ends_in_a_record_that_is_enough(start, flight: Path) -> None:
     record = flight.with_suffix(".mcap")
     replay = start("sitl", "replay", str(flight), *FEW, "--record", str(record), "--json")

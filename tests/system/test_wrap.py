@@ -41,6 +41,7 @@ def up_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Processes, "start", late)
 
 
+@pytest.mark.full
 def test_a_mission_in_which_time_wraps_has_the_same_trace_and_is_recorded_followed_and_replayed_as_any_other(
     up_for_long: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -153,6 +153,7 @@ class Actor:
         backdrop = self._scene.backdrop
         return {
             "name": self.name,
+            "search": self.name,
             "title": backdrop.title,
             "here": self.here,
             "has_truth": backdrop.release is not None,

@@ -294,7 +294,10 @@ def test_what_a_pilot_looks_for_has_units_and_a_colour_only_when_it_matters(
         "left": "≈ 13 s",
     }
     assert window.page.locator(".facts [data-level]").count() == 0
-    lossy = replace(scene().craft.condition, lost=0.07)
+    radio = replace(scene().craft.condition, radio=(180.0, math.nan))
+    stage.vehicles["uav/1"].show(craft=replace(scene().craft, condition=radio))
+    window.until("document.querySelector('[data-fact=link]').textContent === '180 / –'")
+    lossy = replace(radio, lost=0.07)
     stage.vehicles["uav/1"].show(craft=replace(scene().craft, condition=lossy))
     window.until("document.querySelector('[data-fact=link]').textContent === '7% lost'")
     empty = replace(scene().craft.condition, battery=0.11)
@@ -637,6 +640,7 @@ def test_all_is_reached_by_keyboard_and_the_focus_is_seen(window: Window) -> Non
     assert window.of("plumeward.answers[0].command") == "hold"
 
 
+@pytest.mark.full
 def test_always_the_newest_and_never_a_backlog(stage: Stage, window: Window) -> None:
     actor = stage.vehicles["uav/1"]
     for step in range(6, 206):  # faster than anyone can draw

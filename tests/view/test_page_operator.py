@@ -133,11 +133,39 @@ def test_all_vehicles_are_on_the_map_with_their_names(stage: Stage, window: Wind
     assert not window.page.locator(".of-others").is_hidden()
 
 
+def test_a_vehicle_of_another_mission_lies_at_its_own_home(stage: Stage, look: Callable[..., Window]) -> None:
+    made = scene()
+    assert made.home is not None
+    latitude, longitude, height = made.home
+    stage.enter(made)
+    stage.enter(
+        replace(
+            scene("uav/2"),
+            home=(latitude + 40 / 111_194.9, longitude, height),  # 40 m further north
+            craft=replace(made.craft, position=(5.0, 6.0)),
+            waypoint=None,
+        )
+    )
+    window = drawn(look(stage.address))
+    window.until("plumeward.state.models['uav/2']?.scene")
+    window.drawn()
+    assert "uav/2 at (5.0, 46.0)" in window.page.locator(".map canvas").get_attribute("aria-label")
+    assert window.count("muted", (4.4, 45.4, 5.6, 46.6)) > 5
+    assert window.count("muted", (29.0, 50.0, 31.0, 60.0)) > 10  # the edge of its area
+    window.keep("two-missions")
+    window.page.mouse.move(*at(window, 4.0, 44.0))  # its fifth reading
+    window.until("document.querySelector('.pointer').textContent.includes('reading')")
+    assert window.text(".pointer").startswith("uav/2, reading 4: ")
+
+
 def test_walls_and_home_are_drawn(stage: Stage, look: Callable[..., Window]) -> None:
     made = scene()
     walls = (((24.0, 2.0), (28.0, 2.0), (28.0, 6.0), (24.0, 6.0)),)
-    stage.enter(replace(made, backdrop=replace(made.backdrop, walls=walls)))
+    fence = ((1.0, 1.0), (29.0, 1.0), (29.0, 29.0), (1.0, 29.0))
+    stage.enter(replace(made, backdrop=replace(made.backdrop, walls=walls, fence=fence)))
     window = drawn(look(stage.address))
+    assert window.count("ink", (28.7, 10.0, 29.3, 16.0)) > 30
+    assert not window.page.locator(".of-fence").is_hidden()
     inside, outside = (sum(window.pixel(*place)) for place in ((25.7, 4.3), (21.7, 4.3)))
     assert inside < outside - 100
     assert window.count("ink", (-0.4, -0.4, 0.4, 0.4)) > 15
@@ -210,6 +238,7 @@ def test_events_are_marked_on_the_time_axis_and_say_what_they_are(window: Window
     assert box["x"] + box["width"] / 2 == pytest.approx(plot["x"] + left, abs=3)
 
 
+@pytest.mark.full
 def test_further_charts_are_one_click_away(window: Window) -> None:
     assert window.page.locator(".chart").count() == 2
     window.page.locator(".more summary").click()

@@ -234,6 +234,7 @@ def test_space_plays_and_pauses_and_the_speed_has_keys(replay: Window) -> None:
     assert now(replay) == paused_s < replay.of("plumeward.line.span[1]")
 
 
+@pytest.mark.full
 def test_two_records_are_compared_on_one_time_line(two: str, look: Callable[..., Window]) -> None:
     window = at_the_end(look(two, scheme="dark"), HOMING, INFOTAXIS)
     homing, infotaxis = beliefs(HOMING), beliefs(INFOTAXIS)

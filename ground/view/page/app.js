@@ -49,12 +49,12 @@ function draw() {
   tellWanted();
   const shown = state.show.map((name) => state.models[name]);
   const last_s = Math.max(0, ...listed().map((vehicle) => vehicle.end_s ?? 0));
-  const others = aside().map((name) => state.models[name]).filter((model) => model?.scene);
   shown.forEach((model, i) => {
     const vehicle = state.vehicles.find(({ name }) => name === model.name);
     const other = shown.length > 1 ? shown[1 - i] : null;
+    const others = beside(model.name, i).map((name) => state.models[name]).filter((one) => one?.scene);
     panes.get(model.name).draw(model, {
-      other: other?.scene ? other : null, others: i ? [] : others, last_s: last_s || null, moments: isRecord(vehicle) ? (vehicle.moments ?? []) : null, at_s: state.at_s, redraw: all,
+      other: other?.scene ? other : null, others, last_s: last_s || null, moments: isRecord(vehicle) ? (vehicle.moments ?? []) : null, at_s: state.at_s, redraw: all,
     });
   });
   for (const model of shown) if (model.scene) model.fresh.measurements = model.fresh.happenings = false;
@@ -82,8 +82,14 @@ function acknowledge(scenes) {
 const isRecord = (vehicle) => vehicle?.end_s !== null && vehicle?.end_s !== undefined;
 const listed = () => state.show.map((name) => state.vehicles.find((vehicle) => vehicle.name === name)).filter(Boolean);
 
-/** The vehicles that are on the map of the first one as well: all live ones that have no pane. */
-const aside = () => (listed().some(isRecord) ? [] : state.vehicles.filter(({ name, here }) => here && !state.show.includes(name)).map(({ name }) => name));
+/** The vehicles that have no pane and are on the map of a shown one as well: those of its search, and on the first pane all live ones. */
+function beside(shown, pane) {
+  const { search } = state.models[shown];
+  return state.vehicles.filter((vehicle) => vehicle.here && !state.show.includes(vehicle.name) && (vehicle.search === search || (!pane && !isRecord(vehicle)))).map(({ name }) => name);
+}
+
+/** All that are on the map of another one. */
+const aside = () => [...new Set(state.show.flatMap(beside))];
 
 /** Tell the server what to send, where that is news. */
 function tellWanted() {
@@ -165,8 +171,13 @@ const link = new Link({
   vehicles(vehicles, notice) {
     Object.assign(state, { vehicles, notice });
     tellLink();
-    const known = state.show.filter((name) => state.models[name].scene || vehicles.some((vehicle) => vehicle.name === name));
-    if (!known.length && vehicles.length) show(vehicles.slice(0, isRecord(vehicles[0]) ? 2 : 1).map(({ name }) => name));
+    const known = state.show.filter((name) => state.models[name]?.scene || vehicles.some((vehicle) => vehicle.name === name));
+    for (const { name, search } of vehicles) {
+      state.models[name] ??= unknown(name);
+      Object.assign(state.models[name], { search, label: name.startsWith(search) ? name.slice(search.length + 1) || name : name });
+    }
+    const first = vehicles.filter(({ search }, i) => vehicles.findIndex((other) => other.search === search) === i); // of each record, and of each search
+    if (!known.length && vehicles.length) show(first.slice(0, isRecord(vehicles[0]) ? 2 : 1).map(({ name }) => name));
     else show(known);
   },
   scene(buffer) {

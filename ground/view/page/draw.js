@@ -5,6 +5,7 @@ import { extent, isPlaced } from "./view.js";
 
 const SHADES = 10; // of particles
 const EARLIER = 12; // readings whose winds are shown, pale, behind the newest
+const LINE = 14; // px between two lines of words
 const POINTS = ["N", "NE", "E", "SE", "S", "SW", "W", "NW"];
 
 /** A round number of metres, at least `least`: 1, 2 or 5 times a power of ten. */
@@ -35,6 +36,11 @@ export function grid(g, view, width, height, scene) {
     g.lineTo(width, y);
   }
   g.stroke();
+  edge(g, view, scene);
+}
+
+/** The edge of a scene's area. */
+export function edge(g, view, scene) {
   g.strokeStyle = colours.muted.css;
   g.lineWidth = 1.5;
   const area = extent(scene);
@@ -115,12 +121,25 @@ export function walls(g, view, outlines) {
   g.strokeStyle = colours.ink.css;
   g.lineWidth = 1;
   for (const outline of outlines) {
-    g.beginPath();
-    for (const [x, y] of outline) g.lineTo(view.x(x), view.y(y));
-    g.closePath();
+    around(g, view, outline);
     g.fill();
     g.stroke();
   }
+}
+
+/** The outline that no way leaves. */
+export function fence(g, view, outline) {
+  if (!outline.length) return;
+  around(g, view, outline);
+  g.setLineDash([8, 4]);
+  haloed(g, colours.ink.css, 1.5);
+  g.setLineDash([]);
+}
+
+function around(g, view, outline) {
+  g.beginPath();
+  for (const [x, y] of outline) g.lineTo(view.x(x), view.y(y));
+  g.closePath();
 }
 
 export function particles(g, view, values, large) {
@@ -241,6 +260,11 @@ export function craft(g, view, { x, y, heading }, pale) {
   g.restore();
 }
 
-export function name(g, view, { x, y }, text) {
-  label(g, text, view.x(x) + 12, view.y(y) - 12, "left", "bottom");
+/** A name beside its vehicle, above those that are there already: [left, bottom, right] px. */
+export function name(g, view, { x, y }, text, there) {
+  const left = view.x(x) + 12, right = left + g.measureText(text).width;
+  let bottom = view.y(y) - 12;
+  while (there.some(([from, at, to]) => left < to && right > from && Math.abs(at - bottom) < LINE)) bottom -= LINE;
+  there.push([left, bottom, right]);
+  label(g, text, left, bottom, "left", "bottom");
 }

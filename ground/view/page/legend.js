@@ -6,8 +6,8 @@ const oneDigit = (value) => String(Number(value.toPrecision(1)));
 const short = (value) => String(Number(value.toPrecision(2)));
 
 /** Bring a legend up to date. */
-export function fillLegend(list, { truth, gauge }, { plume, walls }, others) {
-  const shown = { truth: Boolean(truth), plume: Boolean(truth && plume), walls: walls.length > 0, others: others.length > 0 };
+export function fillLegend(list, { truth, gauge }, { plume, walls, fence }, others) {
+  const shown = { truth: Boolean(truth), plume: Boolean(truth && plume), walls: walls.length > 0, fence: fence.length > 0, others: others.length > 0 };
   for (const [name, is] of Object.entries(shown)) for (const item of list.querySelectorAll(`.of-${name}`)) item.hidden = !is;
   if (truth && plume) setText(list.querySelector(".ramp-text"), `true gas: ${oneDigit(plume.most / 1000)} to ${oneDigit(plume.most)} g/m³, log scale`);
   const key = JSON.stringify(gauge);

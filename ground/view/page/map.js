@@ -3,8 +3,8 @@
 import * as draw from "./draw.js";
 import { colours } from "./colours.js";
 import { readings } from "./model.js";
-import { coordinates } from "./words.js";
-import { Camera, extent, followHands, isPlaced, reach, viewOf } from "./view.js";
+import { away, coordinates } from "./words.js";
+import { Camera, extent, followHands, isPlaced, moved, reach, viewOf } from "./view.js";
 
 const FONT = "12px system-ui, sans-serif";
 const SMALL = 16; // px: a belief that reaches less far from the estimate gets an inset
@@ -41,7 +41,7 @@ export class WorldMap {
     if (this.ratio !== (devicePixelRatio || 1)) this.resize();
     if (!this.width || !scene) return;
     Object.assign(this, { model, others });
-    const view = this.view = this.camera.view(scene, others.map((other) => other.scene), this.width, this.height);
+    const view = this.view = this.camera.view(scene, others.flatMap((other) => placesOf(model, other)), this.width, this.height);
     const g = this.canvas.getContext("2d");
     g.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     g.font = FONT;
@@ -64,20 +64,28 @@ export class WorldMap {
   drawWorld(g, view, model, others, large) {
     const { scene } = model;
     if (scene.truth && model.plume) this.drawPlume(g, view, scene, model);
+    const beside = others.map((one) => [one, moved(view, away(scene.home, one.scene.home))]); // each from its own home
+    for (const [one, its] of beside.filter(([other]) => isElsewhere(model, other))) {
+      draw.edge(g, its, one.scene);
+      draw.walls(g, its, one.walls);
+      draw.fence(g, its, one.fence);
+      draw.home(g, its);
+    }
     draw.walls(g, view, model.walls);
+    draw.fence(g, view, model.fence);
     draw.particles(g, view, model.particles, large);
-    for (const other of others) draw.track(g, view, other.track, true);
+    for (const [one, its] of beside) draw.track(g, its, one.track, true);
     draw.track(g, view, model.track, false);
-    for (const one of [...others, model]) draw.readings(g, view, readings(one), one.scene.gauge);
-    for (const one of others) draw.waypoint(g, view, one.scene);
-    draw.waypoint(g, view, scene);
+    for (const [one, its] of [...beside, [model, view]]) draw.readings(g, its, readings(one), one.scene.gauge);
+    for (const [one, its] of [...beside, [model, view]]) draw.waypoint(g, its, one.scene);
     draw.home(g, view);
     if (scene.estimate) draw.estimate(g, view, scene.estimate);
     for (const source of scene.truth?.sources ?? []) draw.source(g, view, source);
-    for (const one of [...others, model]) {
+    const named = [];
+    for (const [one, its] of [...beside, [model, view]]) {
       if (!isPlaced(one.scene.craft)) continue;
-      draw.craft(g, view, one.scene.craft, one !== model);
-      if (others.length && !large) draw.name(g, view, one.scene.craft, one.name);
+      draw.craft(g, its, one.scene.craft, one !== model);
+      if (others.length && !large) draw.name(g, its, one.scene.craft, one.label, named);
     }
   }
 
@@ -132,18 +140,43 @@ export class WorldMap {
   /** Say what is under the pointer. */
   tell() {
     if (!this.pointer || !this.view || !this.model) return this.told("");
-    const [px, py] = this.pointer, { view, model: { scene, measurements } } = this;
+    const [px, py] = this.pointer, { view, model, model: { scene }, others } = this;
     const east = view.east(px), north = view.north(py);
     const said = [`${east.toFixed(1)} m east, ${north.toFixed(1)} m north`];
     if (scene.home) said.push(coordinates(scene.home, east, north));
-    const far = ([, , x, y]) => Math.hypot(view.x(x) - px, view.y(y) - py);
-    const nearest = measurements.reduce((best, row) => (!best || far(row) <= far(best) ? row : best), null);
-    if (nearest && far(nearest) <= NEAR) {
-      const [step, time_s, , , gas] = nearest, { gauge } = scene;
-      said.unshift(`reading ${step}: ${gas.toPrecision(3)}${gauge?.unit ? ` ${gauge.unit}` : ""}${gauge && !draw.level(gauge, gas) ? ", noise" : ""}, at ${time_s.toFixed(1)} s`);
+    let best = { far: NEAR };
+    for (const one of [...others, model]) {
+      const its = moved(view, away(scene.home, one.scene.home));
+      for (const row of one.measurements) {
+        const far = Math.hypot(its.x(row[2]) - px, its.y(row[3]) - py);
+        if (far <= best.far) best = { far, row, one };
+      }
+    }
+    if (best.row) {
+      const [step, time_s, , , gas] = best.row, { gauge } = best.one.scene;
+      said.unshift(`${others.length ? `${best.one.label}, ` : ""}reading ${step}: ${gas.toPrecision(3)}${gauge?.unit ? ` ${gauge.unit}` : ""}${gauge && !draw.level(gauge, gas) ? ", noise" : ""}, at ${time_s.toFixed(1)} s`);
     }
     this.told(said.join(" · "));
   }
+}
+
+/** Where the vehicle of another scene is on the map of this one, {x, y} m; null where it is not known. */
+function placeOf({ home }, { craft, home: its }) {
+  if (!isPlaced(craft)) return null;
+  const [east, north] = away(home, its);
+  return { x: craft.x + east, y: craft.y + north };
+}
+
+/** Whether another model searches an area that is not this one's. */
+function isElsewhere({ scene, search }, other) {
+  return other.search !== search && (away(scene.home, other.scene.home).some(Boolean) || String(other.scene.area) !== String(scene.area));
+}
+
+/** What should be seen of another model on the map of this one: the vehicle, and the area where that is another. */
+function placesOf({ scene, search }, other) {
+  const [east, north] = away(scene.home, other.scene.home), area = extent(other.scene);
+  const corners = !isElsewhere({ scene, search }, other) ? [] : [{ x: area.west + east, y: area.south + north }, { x: area.east + east, y: area.north + north }];
+  return [placeOf(scene, other.scene), ...corners];
 }
 
 /** What the map shows, for who cannot see it. */
@@ -152,7 +185,10 @@ function inWords(scene, others) {
   const at = (x, y) => `(${x.toFixed(1)}, ${y.toFixed(1)})`;
   const said = [width === height ? `Map, ${width} m square` : `Map, ${width} m by ${height} m`];
   if (isPlaced(craft)) said.push(`vehicle at ${at(craft.x, craft.y)}`);
-  for (const { name, scene } of others) if (isPlaced(scene.craft)) said.push(`${name} at ${at(scene.craft.x, scene.craft.y)}`);
+  for (const other of others) {
+    const place = placeOf(scene, other.scene);
+    if (place) said.push(`${other.label} at ${at(place.x, place.y)}`);
+  }
   if (waypoint) said.push(`next waypoint ${at(...waypoint)}`);
   if (estimate) said.push(`estimate at ${at(estimate.x, estimate.y)}, 95% of the belief within ${reach(estimate).toFixed(1)} m`);
   if (wind) said.push(`wind ${Math.hypot(...wind).toFixed(1)} m/s from ${draw.bearing(wind)}°`);

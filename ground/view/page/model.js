@@ -17,11 +17,12 @@ export function unpack(buffer) {
 /** A vehicle that nothing is known of yet. */
 export function unknown(name) {
   return {
-    name, scene: null,
+    name, label: name, search: name, scene: null, // its name on a map, and the search that it is of
     particles: new Float32Array(0), // x, y, weight, x, y, weight, ...
     track: [], // x, y, x, y, ...
     measurements: [], happenings: [],
     walls: [], // outlines, [[x, y], …]
+    fence: [], // the outline that no way leaves
     plume: null, // {cells, values, most}
     fresh: { measurements: true, happenings: true, plume: true }, // what has changed since it was last drawn
   };
@@ -40,7 +41,7 @@ export function merge(model, { header, arrays }) {
     if (rows.length || from < model[name].length) model.fresh[name] = true;
     splice(model[name], from, rows);
   }
-  if (header.walls) model.walls = header.walls;
+  for (const name of ["walls", "fence"]) if (header[name]) model[name] = header[name];
   if (arrays.track) splice(model.track, 2 * arrays.track.from, arrays.track.values);
   if (arrays.particles) model.particles = arrays.particles.values;
   if (arrays.plume) {

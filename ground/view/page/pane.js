@@ -115,6 +115,7 @@ export class Pane {
     const { craft, state } = scene, [flies, meaning] = modeOf(craft?.mode);
     const metres = (value, digits = 0) => (Number.isFinite(value) ? `${value.toFixed(digits)} m` : "–");
     const silent = scene.silent_s ?? null, lost = craft?.lost ?? 0;
+    const radio = craft?.radio?.map((end) => end ?? "–").join(" / "); // signal strength at both ends
     const facts = {
       flies,
       altitude: craft && Number.isFinite(craft.x) ? metres(craft.altitude_m, 1) : "–",
@@ -122,11 +123,12 @@ export class Pane {
       battery: Number.isFinite(craft?.battery) ? `${Math.round(100 * craft.battery)}%` : "–",
       volts: Number.isFinite(craft?.volts) ? `${craft.volts.toFixed(1)} V` : "–",
       home: metres(craft?.home_m),
-      link: silent === null ? "–" : silent >= QUIET_S ? `silent ${silent.toFixed(0)} s` : lost < LOSSY ? "good" : `${Math.round(100 * lost)}% lost`,
+      link: silent === null ? "–" : silent >= QUIET_S ? `silent ${silent.toFixed(0)} s` : lost < LOSSY ? (radio ?? "good") : `${Math.round(100 * lost)}% lost`,
       moves: row ? `${row.step}${state.moves_left === null ? "" : ` of ≈${row.step + state.moves_left}`}` : "–",
       left: state.seconds_left === null ? "–" : `≈ ${duration(state.seconds_left)}`,
       mode: craft?.mode || "–",
       armed: craft?.armed === true ? "yes" : craft?.armed === false ? "no" : "–",
+      radio: radio ?? "–",
       gps: craft?.gps || "–",
       health: craft?.health || "–",
       time: seconds(scene.time_s),

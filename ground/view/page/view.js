@@ -16,6 +16,11 @@ export function viewOf([x, y], scale, { left, top, width, height }) {
   };
 }
 
+/** The same view for a scene whose home lies elsewhere, [east, north] m away. */
+export function moved(view, [east, north]) {
+  return { ...view, x: (m) => view.x(m + east), y: (m) => view.y(m + north), east: (px) => view.east(px) - east, north: (px) => view.north(px) - north };
+}
+
 /** How far 95% of the belief reaches from the estimate, m. */
 export function reach(estimate) {
   return estimate.radius_95_m ?? 1.73 * estimate.spread_m;
@@ -47,7 +52,7 @@ export class Camera {
     this.scale = 1;
   }
 
-  /** The view of a scene in a window of px; `others` are the scenes of vehicles that are shown beside it. */
+  /** The view of a scene in a window of px; `others`: places {x, y} of what is shown beside it. */
   view(scene, others, width, height) {
     const room = { left: LEFT, top: TOP, width: Math.max(60, width - LEFT - RIGHT), height: Math.max(60, height - TOP - BOTTOM) };
     this.room = room;
@@ -61,7 +66,7 @@ export class Camera {
     } else if (this.mode === "all") {
       const edge = Math.max(area.longer * 0.02, 1.5 * beyond(scene));
       let [west, south, east, north] = [area.west - edge, area.south - edge, area.east + edge, area.north + edge];
-      for (const { craft } of [scene, ...others]) {
+      for (const craft of [scene.craft, ...others]) {
         if (!isPlaced(craft) || off(area, craft.x, craft.y) > 4 * area.longer) continue;
         [west, south, east, north] = [Math.min(west, craft.x - edge), Math.min(south, craft.y - edge), Math.max(east, craft.x + edge), Math.max(north, craft.y + edge)];
       }

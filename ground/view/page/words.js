@@ -32,6 +32,13 @@ export function coordinates([latitude, longitude], east, north) {
   return `${Math.abs(lat).toFixed(6)} ${lat < 0 ? "S" : "N"}, ${Math.abs(lon).toFixed(6)} ${lon < 0 ? "W" : "E"}`;
 }
 
+/** How far another home lies from this one, [east, north] m; nowhere else while one of them is not known. */
+export function away(home, other) {
+  if (!home || !other) return [0, 0];
+  const metres = (Math.PI / 180) * 6371000;
+  return [(other[1] - home[1]) * metres * Math.cos((home[0] * Math.PI) / 180), (other[0] - home[0]) * metres];
+}
+
 /** A time for people: 24 s, 3 min 20 s. */
 export function duration(time_s) {
   return time_s < 100 ? `${Math.round(time_s)} s` : `${Math.floor(time_s / 60)} min ${String(Math.round(time_s % 60)).padStart(2, "0")} s`;

@@ -413,8 +413,8 @@ def start() -> Iterator[Callable[..., "subprocess.Popen[str]"]]:
 @pytest.mark.parametrize(
     "number",
     [
-        signal.SIGTERM,
-        *(pytest.param(other, marks=pytest.mark.full) for other in (signal.SIGKILL, signal.SIGINT)),
+        signal.SIGKILL,
+        *(pytest.param(other, marks=pytest.mark.full) for other in (signal.SIGTERM, signal.SIGINT)),
     ],
 )
 def test_a_run_that_is_killed_comes_to_the_same_end(
@@ -446,6 +446,7 @@ def test_a_run_that_is_killed_comes_to_the_same_end(
     ]
 
 
+@pytest.mark.full
 def test_a_run_that_is_interrupted_before_its_first_checkpoint_says_that_it_keeps_nothing(
     tmp_path: Path, start: Callable[..., Any], wait_until: Callable[..., None]
 ) -> None:
@@ -481,6 +482,7 @@ def test_a_run_that_is_interrupted_while_it_is_judged_says_that_it_is_trained(
     assert read(bundle)[0].evaluation == {}
 
 
+@pytest.mark.full
 def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(
     tmp_path: Path, start: Callable[..., Any]
 ) -> None:

@@ -103,6 +103,7 @@ def test_a_straight_path_on_the_axis_of_the_plume_never_learns_the_direction_acr
     assert math.sqrt(75) < floor.spread_m(s, [0.0] * 9) < math.sqrt(75.1)
 
 
+@pytest.mark.full
 @pytest.mark.slow
 @pytest.mark.parametrize("s", SHORT)
 @pytest.mark.parametrize("steps", [1, 2, 3])

@@ -110,6 +110,7 @@ def test_missions_that_cannot_be_compared_are_refused(
         boards(tmp_path, PAPER, odd=[unlike])
 
 
+@pytest.mark.full
 def test_the_policy_that_flies_by_default_is_the_best_over_all() -> None:
     results = read(ROOT / "results")
     assert read_boards(ROOT / "results", results).policies[0] == DEFAULT

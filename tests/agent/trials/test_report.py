@@ -349,6 +349,7 @@ def test_the_same_picture_is_the_same_file(tmp_path: Path, drawing: Any) -> None
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
 
 
+@pytest.mark.full
 def test_a_report_is_files_that_need_nothing_else(tmp_path: Path) -> None:
     out = tmp_path / "report"
     out.mkdir()

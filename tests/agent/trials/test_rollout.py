@@ -141,6 +141,7 @@ def test_every_move_is_a_metre_inside_the_area() -> None:
         assert max(b.position) <= 30
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_infotaxis_finds_the_source_and_its_stop_can_be_believed() -> None:
     results = [
@@ -178,6 +179,7 @@ def strongest(s: Scenario) -> float:
     return float(concentration(places, (*s.source, s.height), s.wind, **release).max())
 
 
+@pytest.mark.full
 def test_sources_outside_are_told_as_outside_where_their_gas_shows_and_none_is_claimed_inside() -> None:
     """Where the mean gas is twice the noise of clean air somewhere in the area, the flight could know."""
     shows, told = [], []

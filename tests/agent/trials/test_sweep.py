@@ -89,6 +89,7 @@ def test_one_flight_gives_what_a_rollout_at_each_threshold_gives(seed: int) -> N
         )
 
 
+@pytest.mark.full
 def test_the_number_of_workers_does_not_show(tmp_path: Path) -> None:
     one, two = (
         ordered(
@@ -193,6 +194,7 @@ def flights_of(sweep: Sweep, seed: int) -> list[Flight]:
     return [flight for flight in sweep.flights if flight[2] == seed]
 
 
+@pytest.mark.full
 def test_a_table_is_filled_up_and_left_alone_once_it_is_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -126,6 +126,14 @@ def test_a_station_behind_the_vehicles_own_link_is_not_the_vehicle() -> None:
     assert net.says(QGC, A) == Route((BUS, B))
 
 
+def test_the_strength_of_the_radio_on_a_vehicles_link_is_the_vehicles_output() -> None:
+    net, radio = Net(A, B), said(mavlink.MAVLink_radio_status_message(180, 170, 90, 40, 38, 0, 0), (51, 68))
+    assert net.routes.route(radio, A, 0.0) == Route((BUS, B))
+    net.says(DRONE, A, autopilot=True)
+    assert net.routes.route(radio, A, 1.0) == Route((BUS, B), vehicle=True)
+    assert net.routes.route(radio, B, 2.0) == Route((BUS, A))
+
+
 def test_two_vehicles_and_two_stations_are_kept_apart() -> None:
     net = Net(A, B, C)
     net.says(DRONE, BUS, autopilot=True, out=True)
@@ -234,6 +242,7 @@ def test_ground_stations_may_share_an_id() -> None:
     assert net.says(DRONE, BUS, QGC, out=True).links == (A, B)
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_forged_ids_and_floods_fill_no_memory() -> None:
     net = Net(A, B)

@@ -3,11 +3,13 @@ that goes and comes.
 """
 
 import math
+import socket
 import time
 from collections.abc import Callable
 from contextlib import closing
 
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.bridge.address import parse_address
 from aircraft.keeper.connection import Connection
@@ -57,6 +59,30 @@ class Flown:
         while not holds():
             assert time.monotonic() < deadline, f"not true within {timeout_s:g} s; said: {self.said}"
             self.look()
+
+
+def test_the_radio_on_the_link_is_handed_on_though_it_has_a_system_id_of_its_own() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    connection = Connection(parse_address(f"udpin:127.0.0.1:{port}"), Log("uav", "test", Tally(), "error"))
+    radio = mavlink.MAVLink_radio_status_message(180, 170, 90, 40, 38, 0, 0).pack(
+        mavlink.MAVLink(None, 51, 68)
+    )
+    other = mavlink.MAVLink_ping_message(1, 0, 0, 0).pack(mavlink.MAVLink(None, 9, 1))
+    heard: list[bytes] = []
+    with closing(connection), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        connection.use(1)
+        deadline = time.monotonic() + 60
+        while bytes(radio) not in heard:
+            assert time.monotonic() < deadline
+            beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3).pack(mavlink.MAVLink(None, 1, 1))
+            for frame in (beat, other, radio):
+                link.sendto(frame, ("127.0.0.1", port))
+            connection.selector.select(0.05)
+            connection.poll()
+            heard += connection.frames()
+    assert bytes(other) not in heard
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from ground.desk.scenes import RecordedScene
 from link.bus.keys import MAVLINK_OUT
 from link.bus.mavlink import Codec, unpack
 from link.bus.messages import unpack_particles
+from link.cli import MOST_VEHICLES
 from link.record.reader import Recording, read
 from link.record.record import Entry
 from link.record.writer import Writer
@@ -271,8 +272,11 @@ def test_the_layout_shows_only_what_is_recorded_and_each_of_its_panels_is_placed
     kinds = {name.partition("!")[0] for name in layout["configById"]}
     assert kinds == {"3D", "Plot", "RosOut", "map"}  # a log panel is called RosOut
     configs = {name.partition("!")[0]: config for name, config in layout["configById"].items()}
-    marks = {topic for topic in shown if not topic.startswith(("scene/fix", "scene/log", "scene/transforms"))}
-    assert set(configs["3D"]["topics"]) == marks
+    aside = ("scene/fix", "scene/log", "scene/state", "scene/transforms")
+    marks = {topic for topic in shown if not topic.startswith(aside)}
+    others = [f"uav/{number}" for number in range(2, MOST_VEHICLES + 1)]
+    own = {f"scene/{mark}" for mark in ("vehicle", "path", "readings", "waypoint")}
+    assert set(configs["3D"]["topics"]) == marks | {f"{name}/{mark}" for name in others for mark in own}
     assert not configs["3D"]["topics"]["scene/plume"]["visible"]  # the truth is off until asked for
     assert not configs["3D"]["topics"]["scene/source"]["visible"]
     assert configs["RosOut"]["topicToRender"] in shown
@@ -280,4 +284,6 @@ def test_the_layout_shows_only_what_is_recorded_and_each_of_its_panels_is_placed
     for name, config in layout["configById"].items():
         for line in config.get("paths", ()):
             key, _, field = line["value"].partition(".")
-            assert (key, field in fields) == ("belief", True), name
+            of, of_another = key.removeprefix(f"{key[:5]}/"), key[:5] in others
+            assert of == "belief" or (of_another and of == "reading/decoded"), name
+            assert field in fields

@@ -107,6 +107,7 @@ def test_there_is_a_map_for_every_sensor(name: str) -> None:
     assert (found.rates_gs > 0).all()
 
 
+@pytest.mark.full
 def test_a_long_flight_is_thinned_and_says_so() -> None:
     of, it = crosswind(), findings()
     long = of._replace(samples=of.samples * 400)

@@ -18,6 +18,7 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 
 from ground.view.foxglove import HOST, LONGEST_REQUEST, LiveFoxglove
 from ground.view.serving import server_of
+from link.bus.messages import Belief
 from scene.foxglove import SceneEncoder, schema_of
 from scene.scene import Backdrop, Craft, Measurement, Scatter, Scene
 
@@ -143,6 +144,7 @@ def test_a_viewer_that_joins_late_gets_the_whole_scene(protocol: str) -> None:
     cloud = PointCloud.FromString(messages[CLOUD])
     assert np.frombuffer(cloud.data, "<f4").tolist() == [1.0, 2.0, 0.0, 0.25, 3.0, 4.0, 0.0, 0.75]
     belief = json.loads(messages["belief"])
+    assert set(belief) - {"simulation_s"} <= set(Belief.__struct_fields__)  # a record's names
     assert (belief["step"], belief["gas"], belief["spread"], belief["mean"]) == (0, 0.25, 3.0, [5.0, 6.0])
 
 
@@ -185,6 +187,16 @@ def test_a_second_vehicle_has_topics_and_frames_of_its_own() -> None:
     one, two = (PointCloud.FromString(messages[topic]) for topic in (CLOUD, f"uav/2/{CLOUD}"))
     assert (one.frame_id, two.frame_id) == ("map", "uav/2/map")
     assert np.frombuffer(two.data, "<f4")[:2].tolist() == [2.0, 3.0]
+
+
+def test_of_a_search_by_several_the_second_vehicle_says_its_own_way_only() -> None:
+    async def second(live: LiveFoxglove) -> Any:
+        for number in (1, 2):
+            live.show(replace(SCENE, backdrop=Backdrop(f"search/1/uav/{number}")))
+        return await heard(live.address, [CLOUD, "uav/2/scene/path", "uav/2/belief"])
+
+    channels, _ = run(second)
+    assert f"uav/2/{CLOUD}" not in channels
 
 
 # ---- who may look ----

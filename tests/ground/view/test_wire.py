@@ -22,7 +22,15 @@ def measurement(step: int, gas: float = 0.5) -> Measurement:
     return Measurement(step, 10.0 + step, (1.0 + step, 2.0), gas, 3.0, (5.0, 6.0), (4.0, 0.0, 1.0))
 
 
-UNSAID = {"battery": None, "volts": None, "gps": "", "health": "", "speed_mps": None, "lost": None}
+UNSAID = {
+    "battery": None,
+    "volts": None,
+    "gps": "",
+    "health": "",
+    "speed_mps": None,
+    "lost": None,
+    "radio": None,
+}
 SCENE = Scene(
     Backdrop("uav/1", AREA, "homing, seed 1", RELEASE),
     time_s=12.5,
@@ -170,10 +178,13 @@ def test_a_vehicle_aside_is_sent_without_particles_and_with_them_once_it_is_in_t
 
 
 def test_walls_are_sent_once() -> None:
-    walled = replace(SCENE, backdrop=replace(SCENE.backdrop, walls=(((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),)))
+    wall = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
+    walled = replace(SCENE, backdrop=replace(SCENE.backdrop, walls=(wall,), fence=wall))
     cursor = Sent()
-    assert sent(walled, cursor)[0]["walls"] == [[[0, 0], [1, 0], [1, 1]]]
-    assert sent(walled, cursor)[0]["walls"] is None
+    header, _ = sent(walled, cursor)
+    assert (header["walls"], header["fence"]) == ([[[0, 0], [1, 0], [1, 1]]], [[0, 0], [1, 0], [1, 1]])
+    header, _ = sent(walled, cursor)
+    assert (header["walls"], header["fence"]) == (None, None)
 
 
 def test_the_truth_is_sent_once_and_only_when_asked_for() -> None:
@@ -214,7 +225,7 @@ def test_a_vehicle_that_has_not_said_where_it_is_has_no_place_yet_but_a_mode() -
 
 
 def test_what_the_vehicle_says_of_itself_is_sent() -> None:
-    condition = Condition(battery=0.5, volts=15.1, gps="no fix", ailing=("gps",), placed=False)
+    condition = Condition(0.5, 15.1, "no fix", ("gps",), placed=False, radio=(180.0, math.nan))
     craft = sent(replace(SCENE, craft=Craft(0.0, (1.0, 2.0), condition=condition)), Sent())[0]["craft"]
     assert {name: craft[name] for name in UNSAID} == {
         "speed_mps": None,
@@ -223,4 +234,5 @@ def test_what_the_vehicle_says_of_itself_is_sent() -> None:
         "gps": "no fix",
         "health": "not healthy: gps, position",
         "lost": None,
+        "radio": [180.0, None],
     }

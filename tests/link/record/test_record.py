@@ -210,6 +210,7 @@ def test_a_file_cut_off_anywhere_reads_up_to_its_last_flush(tmp_path: Path, flus
     assert len(set(counts)) == (len(ENTRIES) + 1 if flush_each else 2)
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_damage_never_raises_anything_but_a_record_error(tmp_path: Path) -> None:
     whole = bytearray(written(tmp_path / "run.mcap", flush_each=True).read_bytes())

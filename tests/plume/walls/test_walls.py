@@ -39,6 +39,7 @@ def inside(places: Array, boxes: "list[tuple[float, float, float, float, float]]
     return found
 
 
+@pytest.mark.full
 def test_in_the_open_the_mean_is_the_papers_plume() -> None:
     """Places near and far, upwind, across and above; 1,000 missions, of which each is asked six times."""
     s = OPEN

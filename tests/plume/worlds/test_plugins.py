@@ -171,6 +171,7 @@ def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
     assert worlds()["gone"].startswith("world gone of badworlds:gone does not load")
 
 
+@pytest.mark.full
 def test_a_plug_in_that_fails_ends_a_mission_with_a_line(tmp_path: Path) -> None:
     install(tmp_path, "badworlds", BAD, broken="broken")
     fly = ["sitl", "fly", "--speedup", "0", "--no-record"]

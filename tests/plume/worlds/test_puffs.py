@@ -55,6 +55,7 @@ def campbell(share: float, rate: float, size: float) -> np.ndarray:
     return rate * np.trapezoid(square_of_one, ages[:, 0], axis=0)
 
 
+@pytest.mark.full
 def test_the_mean_over_missions_is_the_papers_plume() -> None:
     """Within 3%: the standard errors of these shares, rates and places are at most 1.2%."""
     plume = concentration(

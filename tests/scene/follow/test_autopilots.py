@@ -219,6 +219,21 @@ def test_a_battery_and_a_gps_are_shown_as_they_are_and_what_is_lost_is_lost(hear
     assert heard(status(50, 15_000, lost=350)).craft.condition.lost == 0.035  # in hundredths of a percent
 
 
+def test_the_radio_of_the_link_tells_its_strength_and_is_not_the_vehicle(heard: Heard) -> None:
+    sik = Codec(51, 68)
+    heard(beat(4), status(62, 15_400))
+    heard(mavlink.MAVLink_radio_status_message(180, 170, 90, 40, 38, 0, 0), codec=sik)
+    assert heard.craft.condition.radio == (180.0, 170.0)
+    assert heard.craft.condition.battery == 0.62
+    assert heard.history.at(wall_s=heard.now_s).silent_s == 1.0  # the vehicle has said nothing since
+    heard(mavlink.MAVLink_radio_status_message(180, 255, 90, 40, 38, 0, 0), codec=sik)
+    here, there = heard.craft.condition.radio
+    assert here == 180.0
+    assert math.isnan(there)
+    heard(mavlink.MAVLink_radio_status_message(255, 255, 90, 40, 38, 0, 0), codec=sik)
+    assert heard.craft.condition.radio is None
+
+
 def test_a_position_lost_is_told_also_by_a_px4_which_sends_another_message(heard: Heard) -> None:
     estimates = mavlink.MAVLink_estimator_status_message(0, 1, *[0.0] * 8)
     assert heard(beat(6 << 16, PX4), estimates).craft.condition.health == "not healthy: position"

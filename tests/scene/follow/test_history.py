@@ -102,6 +102,7 @@ def test_the_track_has_a_point_every_tenth_of_a_metre(history: History) -> None:
     assert np.all(np.diff(track[:, 0]) >= 0.0999)
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_the_track_is_not_copied_for_each_scene_and_a_former_scene_stays_as_it_was() -> None:
     history = History(Backdrop("uav/1"), whole=False)
@@ -138,6 +139,7 @@ def test_changes_of_mode_arming_and_long_texts_are_told_once(history: History) -
     ]
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_a_text_whose_end_never_comes_does_not_grow_without_end(
     history: History, kept_bytes: Callable[..., int]
