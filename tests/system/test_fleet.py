@@ -74,6 +74,7 @@ def test_two_vehicles_find_a_source_together_as_in_process(
     assert "returning home" in said
 
 
+@pytest.mark.full
 def test_in_gas_that_moves_three_vehicles_on_the_clock_read_the_same_as_in_process(
     start: type[Part], tmp_path: Path, in_process: Callable
 ) -> None:
@@ -145,6 +146,7 @@ def has_ended(pid: int) -> bool:
         return True
 
 
+@pytest.mark.full
 def test_ctrl_c_ends_all_vehicles_and_leaves_nothing_behind(
     start: type[Part], tmp_path: Path, wait_until: Callable
 ) -> None:
@@ -245,6 +247,7 @@ def test_the_outcome_names_who_left_when_and_why_and_who_measured_what(lost: Los
     assert "refused" not in lost.said  # who has left is not told of waypoints that are for others
 
 
+@pytest.mark.full
 def test_the_record_of_a_search_that_was_left_is_verified_and_told_as_it_was(
     lost: Lost, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -330,6 +333,7 @@ def undisturbed() -> list[list[tuple]]:
     return [points[at : at + 2] for at in range(0, len(points), 2)]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("victim", ["estimator", "agent"])
 def test_a_service_that_is_killed_and_started_again_goes_on_with_the_same_search(
     start: type[Part], router: str, watched: Watched, wait_until: Callable, victim: str
