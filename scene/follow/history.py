@@ -10,9 +10,28 @@ from typing import Any
 import msgspec
 
 from link.bus.frames import Frame
-from link.bus.keys import BELIEF, MAVLINK_OUT, OF_VEHICLE, READING, STOP, WAYPOINT, row_name, vehicle_of
+from link.bus.keys import (
+    BELIEF,
+    DEPARTURE,
+    MAVLINK_OUT,
+    OF_VEHICLE,
+    READING,
+    STOP,
+    WAYPOINT,
+    row_name,
+    vehicle_of,
+)
 from link.bus.mavlink import Texts, continued, unpack_reading
-from link.bus.messages import Belief, Health, Particles, Stop, by_number, unpack_particles
+from link.bus.messages import (
+    Belief,
+    Departure,
+    Health,
+    Particles,
+    Stop,
+    by_number,
+    departure_text,
+    unpack_particles,
+)
 from link.cli import MOST_VEHICLES
 from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
@@ -94,6 +113,7 @@ class History:
         self._endings: Timed[Ending] = timed()
         self._stop = self._assume = ""
         self._gauge: Gauge | None = None
+        self._left: set[int] = set()  # vehicles that have left a search by several
         self._forget_way()
 
     def _forget_way(self) -> None:
@@ -155,6 +175,8 @@ class History:
                     return self._take_belief(own, attachment, time_s)
                 case STOP.name:
                     return self._take_stop(msgspec.json.decode(payload, type=Stop), time_s)
+                case DEPARTURE.name:
+                    return self._take_departure(msgspec.json.decode(payload, type=Departure))
                 case WAYPOINT.name:
                     places = [place for _, said in frames(payload, {SETPOINT}) if (place := waypoint(said))]
                     at = self._round.index(self._number) if self._number in self._round else len(places)
@@ -165,6 +187,14 @@ class History:
                     health = msgspec.json.decode(payload, type=Health)
                     return key == HEALTH_PREFIX + health.service and self._parts.hears(health, time_s, wall_s)
         return False
+
+    def _take_departure(self, said: Departure) -> bool:
+        """Take that a vehicle has left the search: it is said by the estimator, and again by each vehicle."""
+        if said.vehicle in self._left:
+            return False
+        self._left.add(said.vehicle)
+        self._happened(self.time_s, WARNING, "estimator", departure_text(said))
+        return True
 
     def _stayed(self, seen: dict[int, Belief]) -> Belief:
         """Return a round's belief for a vehicle that has left: it stays where it has read last."""

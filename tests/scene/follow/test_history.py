@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Codec, Reading, pack_reading, waypoint_message
-from link.bus.messages import Belief, Health, Stop, pack_particles
+from link.bus.messages import Belief, Departure, Health, Stop, pack_particles
 from link.record.reader import Recording, read
 from link.record.record import Entry
 from scene.follow.history import History, history_of, remark_on
@@ -308,6 +308,15 @@ def test_warnings_restarts_and_departures_are_told_once(history: History) -> Non
         ("warning", "estimator", "the readings do not fit"),
         ("warning", "estimator", "was restarted"),
         ("warning", "estimator", "is gone"),
+    ]
+
+
+def test_a_vehicle_that_leaves_a_search_is_told_once(history: History) -> None:
+    left = msgspec.json.encode(Departure(3, 4, "gone from the bus for 20 s"))
+    assert history.take("departure", left, b"", 9.0, 100.0)
+    assert not history.take("departure", left, b"", 9.5, 100.5)  # said again by another vehicle
+    assert said(history) == [
+        ("warning", "estimator", "uav/3 has left the search at step 4: gone from the bus for 20 s")
     ]
 
 
