@@ -25,7 +25,7 @@ def chosen(monkeypatch: pytest.MonkeyPatch, *flags: str) -> Config:
     configs: list[Config] = []
     monkeypatch.setattr(sys, "argv", ["estimator", *flags])
     monkeypatch.setattr(command, "Bus", lambda *_, **__: contextlib.nullcontext())
-    monkeypatch.setattr(service, "run", lambda _bus, config, _system: configs.append(config))
+    monkeypatch.setattr(service, "run", lambda _bus, config, *_: configs.append(config))
     command.main()
     return configs[0]
 
