@@ -4,9 +4,9 @@ When a vehicle leaves is the one thing in a search that a clock decides. It is t
 a departure: what follows from readings and departures is the same wherever and whenever it is computed.
 """
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from time import monotonic as now_s
 
 from estimator.admission import refusal
 from estimator.filter import Config
@@ -36,13 +36,13 @@ class Attendance:
     health: dict[int, Health] = field(default_factory=dict)  # the newest of each vehicle
     _since_s: Mapping[int, float] = field(default_factory=dict)  # when each of the missing was missed first
 
-    def look(self, now_s: float, missing: Sequence[int]) -> list[tuple[int, str]]:
+    def look(self, time_s: float, missing: Sequence[int]) -> list[tuple[int, str]]:
         """Return who of those that a round waits for leaves, and why."""
-        self._since_s = {vehicle: self._since_s.get(vehicle, now_s) for vehicle in missing}
+        self._since_s = {vehicle: self._since_s.get(vehicle, time_s) for vehicle in missing}
         return [
             (vehicle, why)
             for vehicle, since_s in self._since_s.items()
-            if self.overdue_s and (why := self._why(vehicle, now_s - since_s))
+            if self.overdue_s and (why := self._why(vehicle, time_s - since_s))
         ]
 
     def forgive(self) -> None:
@@ -79,7 +79,7 @@ class Roll:
         self._several = len(systems) > 1
         self._attendance = Attendance(overdue_s)
         self._frames: list[list[bytes]] = [[] for _ in systems]  # of each vehicle's readings that count
-        self._look_at_s, self._begin_at_s = 0.0, time.monotonic() + LEARN_S
+        self._look_at_s, self._begin_at_s = 0.0, now_s() + LEARN_S
         self._told: set[int] = set()  # those whose readings after they left have been told of
         if self._several:
             bus.subscribe(DEPARTURE, HEALTH)
@@ -122,15 +122,17 @@ class Roll:
 
     def _look(self) -> bool:
         """Let those leave for whom the others have waited long enough; returns whether there are any."""
-        now_s = time.monotonic()
-        if now_s < self._look_at_s:
+        time_s = now_s()
+        if time_s < self._look_at_s:
             return False
-        self._look_at_s = now_s + LOOK_S
-        if not (missing := self._rounds.missing()) or self._bus.tally.ceased or not self._bus.connected:
+        self._look_at_s = time_s + LOOK_S
+        # One that has left, but whose readings have not all come, cannot leave again: `--silence` ends that.
+        missing = [each for each in self._rounds.missing() if not self._rounds.has_ended(each)]
+        if not missing or self._bus.tally.ceased or not self._bus.connected:
             self._attendance.forgive()
             return False
-        leaving = self._attendance.look(now_s, missing)
-        if now_s < self._begin_at_s:
+        leaving = self._attendance.look(time_s, missing)
+        if time_s < self._begin_at_s:
             return False
         for vehicle, why in leaving:
             said = Departure(vehicle, self._rounds.counts[vehicle - 1], why)

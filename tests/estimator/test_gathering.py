@@ -8,7 +8,7 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from estimator import service
+from estimator import roll, service
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from estimator.roll import Attendance
@@ -214,3 +214,14 @@ def test_an_estimator_that_is_told_who_leaves_lets_nobody_leave_by_itself() -> N
     attendance = Attendance(0.0, health={2: health("landed")})
     attendance.look(0.0, [2])
     assert attendance.look(1e6, [2]) == []
+
+
+def test_who_has_left_and_whose_readings_never_come_does_not_leave_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ticks = itertools.count(0, 10)
+    monkeypatch.setattr(roll, "now_s", lambda: float(next(ticks)))
+    left = Arrival(DEPARTURE, msgspec.json.encode(Departure(2, 9, "it returned")), b"", name="departure")
+    bus = QuietBus(arrival(1, 0), left, *[arrival(1, number) for number in range(1, 8)])
+    until_all_are_taken(lambda: service.run(bus, CONFIG, [None, None], 20.0))
+    assert bus.published == []  # the round still waits, and nobody is said to have left once more

@@ -64,6 +64,10 @@ class QuietBus(Bus):
         self._arrivals, self._given_at = list(arrivals), 0.0
         self.published: list[tuple[Key, bytes, bytes]] = []
 
+    @property
+    def connected(self) -> bool:
+        return True
+
     def subscribe(self, *keys: Key, newest: bool = False) -> None: ...
     def watch_services(self) -> None: ...
     def kept(self, key: Key) -> list[Arrival]:
