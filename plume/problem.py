@@ -152,7 +152,8 @@ class PriorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     Raises ValueError, one line, if it is neither or both.
 
     Examples:
-        >>> valves = [plumeward.PriorPart(place=(8, 20), weight=3), plumeward.PriorPart(place=(24, 11))]
+        >>> one = plumeward.PriorPart(place=(8, 20), weight=3)
+        >>> valves = [one, plumeward.PriorPart(place=(24, 11), weight=1)]
         >>> plumeward.Problem(prior=valves).expected.text
         '2 parts in [6, 26] x [9, 22] m'
     """
