@@ -55,6 +55,7 @@ Coordinate = Annotated[
     float, Meta(ge=-FARTHEST_M, le=FARTHEST_M, description="a number from -100000 to 100000, m")
 ]
 Place = tuple[Coordinate, Coordinate]
+Degrees = Annotated[float, Meta(ge=-180, le=180, description="a number, degrees")]
 Corners = Annotated[tuple[Place, ...], Meta(min_length=3, max_length=MOST_CORNERS)]
 Number = Annotated[float, Meta(description="a number")]
 Span = Number | tuple[Number, Number]  # a value, or the least and the greatest of a uniform distribution
@@ -282,6 +283,13 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """
 
     area: Annotated[Area, Meta(description="where the search flies")] = AREA
+    home: Annotated[
+        tuple[Degrees, Degrees] | None,
+        Meta(
+            description="latitude and longitude of home, from which all metres count, degrees; a real "
+            "vehicle takes off nowhere else; default: wherever the vehicle takes off"
+        ),
+    ] = None
     altitude_m: Annotated[
         float, Meta(description="height of the search above home, a number above 0 up to 120, m")
     ] = ALTITUDE_M
@@ -360,6 +368,11 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             msgspec.structs.force_setattr(self, "keep_in", tuple(map(tuple, self.keep_in)))
         if self.prior is not None and not isinstance(self.prior, Area):
             msgspec.structs.force_setattr(self, "prior", _sound_prior(self.prior))
+        if self.home and not (abs(self.home[0]) <= 90 and abs(self.home[1]) <= 180):
+            raise ValueError(
+                f"home: {_listed(self.home)} is not allowed; wanted latitude, -90 to 90, and longitude, -180 to "
+                "180"
+            )
         width_m = min(self.area.size_m)
         if not width_m >= SHORTEST_M:
             raise ValueError(
