@@ -370,8 +370,8 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             msgspec.structs.force_setattr(self, "prior", _sound_prior(self.prior))
         if self.home and not (abs(self.home[0]) <= 90 and abs(self.home[1]) <= 180):
             raise ValueError(
-                f"home: {_listed(self.home)} is not allowed; wanted latitude, -90 to 90, and longitude, -180 to "
-                "180"
+                f"home: {_listed(self.home)} is not allowed; wanted latitude, -90 to 90, and longitude, "
+                "-180 to 180"
             )
         width_m = min(self.area.size_m)
         if not width_m >= SHORTEST_M:

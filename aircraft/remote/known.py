@@ -234,7 +234,8 @@ class Known:
             return ""
         return (
             f"home, {lat:.7f}, {lon:.7f}, is {away_m:.1f} m from the problem's, {meant_lat:.7f}, "
-            f"{meant_lon:.7f}: its area would lie elsewhere by as much; wanted within {self.home_within_m:g} m"
+            f"{meant_lon:.7f}: its area would lie elsewhere by as much; wanted within "
+            f"{self.home_within_m:g} m"
         )
 
     @property
