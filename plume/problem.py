@@ -48,6 +48,7 @@ WIDEST_CLEARANCE_M = 1000.0
 MOST_POLYGONS, MOST_CORNERS = 50, 200  # MOST_CORNERS of all polygons together
 PLACE_RADIUS_M = 2.0  # how far from a place where it is expected a source may be
 LEAST_WEIGHT, MOST_WEIGHT = 1e-6, 1e6
+THINNEST = 0.001  # least share of the rectangle around a polygon that it fills, if the source may be in it
 MOST_DRAWS = 100_000  # most draws of a place until one is allowed
 STOP = re.compile(r"spread:[^,]+|within:[^,]+,[^,]+")  # the form of --stop; `estimator.criterion` reads it
 
@@ -242,7 +243,9 @@ class PriorParts(Area, frozen=True, forbid_unknown_fields=True, kw_only=True):
             part = int(np.searchsorted(np.cumsum(self.shares)[:-1], rng.random(), side="right"))
             polygon, first = PriorParts.of(self.parts[part]), None
         place = first or _uniform(rng, polygon)
-        while not polygon.holds(place):  # at least once in so many draws
+        for _ in range(MOST_DRAWS):
+            if polygon.holds(place):
+                break
             place = _uniform(rng, polygon)
         return place
 
@@ -582,12 +585,15 @@ def _sound_prior(prior: Sequence[Place | PriorPart]) -> tuple[Place | PriorPart,
     if not parts and not any(isinstance(part, Mapping) for part in prior):
         corners: Corners = tuple(map(tuple, prior))  # type: ignore[arg-type]
         _check_polygons({"prior": corners})
+        _check_thickness({"prior": corners})
         return corners
     if len(parts) < len(prior):
         raise ValueError(
             "prior: wanted either the corners of one polygon or parts, each with corners or a place"
         )
-    _check_polygons({f"prior[{number}]": part.polygon for number, part in enumerate(parts)})
+    polygons = {f"prior[{number}]": part.polygon for number, part in enumerate(parts)}
+    _check_polygons(polygons)
+    _check_thickness(polygons)
     if len({part.weight is None for part in parts}) > 1:
         raise ValueError("prior: wanted a weight for each part, or for none")
     return tuple(parts)
@@ -613,6 +619,17 @@ def _check_polygons(polygons: Mapping[str, Corners]) -> None:
         if crossing := crosses_itself(outline(polygon)):
             sides = " and ".join(str(number + 1) for number in crossing)
             raise ValueError(f"{name}: its sides {sides} meet; wanted the corners in order around it")
+
+
+def _check_thickness(polygons: Mapping[str, Corners]) -> None:
+    """Raise ValueError, which names the field, if a polygon is so thin that hardly a draw would be in it."""
+    for name, polygon in polygons.items():
+        width_m, height_m = PriorParts.of(PriorPart(corners=polygon)).size_m
+        if not area_of(polygon) >= THINNEST * width_m * height_m:
+            raise ValueError(
+                f"{name}: the polygon is too thin; wanted one that fills at least {THINNEST:g} of the rectangle "
+                "around it"
+            )
 
 
 def _grid(place: Area | Place, count: int) -> Array:

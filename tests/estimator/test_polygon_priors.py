@@ -262,6 +262,7 @@ def test_parts_are_what_their_text_says() -> None:
         ([{"place": [29, 5]}], "1 part in [27, 31] x [3, 7] m is not allowed"),
         ([{"corners": [[1, 1], [9, 9], [9, 1], [1, 9]]}], "prior[0]: its sides 1 and 3 meet"),
         ([{"place": [5, 5], "radius": 1}], "radius"),
+        ([{"corners": [[1, 1], [29, 29], [29, 29.02]]}], "prior[0]: the polygon is too thin"),
     ],
 )
 def test_what_are_no_parts_is_refused_in_one_line(prior_, line: str) -> None:
