@@ -627,8 +627,8 @@ def _check_thickness(polygons: Mapping[str, Corners]) -> None:
         width_m, height_m = PriorParts.of(PriorPart(corners=polygon)).size_m
         if not area_of(polygon) >= THINNEST * width_m * height_m:
             raise ValueError(
-                f"{name}: the polygon is too thin; wanted one that fills at least {THINNEST:g} of the rectangle "
-                "around it"
+                f"{name}: the polygon is too thin; wanted one that fills at least {THINNEST:g} of the "
+                "rectangle around it"
             )
 
 
