@@ -25,7 +25,6 @@ TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "fal
 WITHOUT_FLEET = {
     "vehicle": "only simulated vehicles search together",
     "connect": "estimator and agent of several vehicles are started here",
-    "secure": "certificates are for vehicles that search alone",
 }
 # Real time for which a round waits for one of several vehicles that might have come, s; at most this part of
 # the time after which the others go home because no waypoint comes.
@@ -231,7 +230,7 @@ def check_fleet(script: Script, fleet: Fleet, given: Collection[str]) -> None:
             )
     if fleet.vehicles == 1:
         return
-    for flag in ("vehicle", "connect", "secure"):
+    for flag in WITHOUT_FLEET:
         if flag in given:
             raise BadInput(f"--vehicles: not with --{flag}: {WITHOUT_FLEET[flag]}")
     for number, event in enumerate(script.events):

@@ -82,7 +82,5 @@ def _place_in_fleet(args: argparse.Namespace, script: Script) -> tuple[Fleet, in
         raise cli.BadInput(f"--number: {number} is not allowed; wanted 1 to {fleet.vehicles} (--vehicles)")
     if args.vehicle:
         raise cli.BadInput("--vehicles: not with --vehicle: only simulated vehicles search together")
-    if args.secure:
-        raise cli.BadInput("--vehicles: not with --secure: certificates are for vehicles that search alone")
     args.namespace = args.namespace or f"search/{max(args.instance + 2 - number, 1)}"
     return fleet, number
