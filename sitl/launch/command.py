@@ -89,7 +89,7 @@ def add_arguments(
         "-e",
         "--connect",
         metavar="ENDPOINT",
-        help="join a router, estimator and agent that run elsewhere; start only the vehicle",
+        help="join a router, estimator and agent that run elsewhere; start only the vehicle, or vehicles",
     )
     parser.add_argument(
         "--record",

@@ -108,9 +108,8 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
 
         if mission.connect:
             bus = join(mission.connect)
-            policy = await_services(
-                bus, mission.namespace, progress.say, mission.real.wait_s if mission.real else math.inf
-            )
+            wait_s = mission.real.wait_s if mission.real else math.inf
+            policy = await_services(bus, mission.namespace, len(mission.uavs), progress.say, wait_s)
             mission = replace(mission, script=mission.script.changed({"agent.policy": policy}))
         endpoint = start_parts(processes, mission, relays, page, progress.say)
         if files:

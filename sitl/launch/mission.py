@@ -22,10 +22,7 @@ from sitl.uav.options import at_own_home, longest_wait_s
 # Expectations that need the source's true position.
 TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})
 # Flags that several vehicles cannot fly with yet, and why.
-WITHOUT_FLEET = {
-    "vehicle": "only simulated vehicles search together",
-    "connect": "estimator and agent of several vehicles are started here",
-}
+WITHOUT_FLEET = {"vehicle": "only simulated vehicles search together"}
 # Real time for which a round waits for one of several vehicles that might have come, s; at most this part of
 # the time after which the others go home because no waypoint comes.
 OVERDUE_S, OF_SILENCE = 20.0, 2 / 3
