@@ -47,8 +47,9 @@ def real_uav(
     """
     clock, _, bus, say, outs, signing = equipment
     assert bus is not None
-    search = Search(vehicle, orders.world.start, orders.after_stop, say)
+    start = orders.starts[orders.number - 1] if orders.number else orders.world.start
+    search = Search(vehicle, start, orders.after_stop, say)
     clients = RealClients(vehicle, search, bus, outs, clock, Handling(say.log), signing)
-    sensor = AskedSensor(vehicle, bus, Winds(wind, orders.world.wind, say))
+    sensor = AskedSensor(vehicle, bus, Winds(wind, orders.world.wind, say), len(orders.starts) or 1)
     sensor.dwell_s = orders.world.sensor.dwell
     return Uav(search, clients, sensor, equipment, orders.events)

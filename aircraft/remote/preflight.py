@@ -70,6 +70,11 @@ class Preflight:
             return f"battery: {battery.text}"
         return self._pilot
 
+    @property
+    def unready(self) -> str:
+        """What is missing before it could be armed, the wind of its readings too; empty if nothing."""
+        return self.missing or ("" if self._wind else UNANSWERED)
+
     def look(self) -> None:
         """Go on reading what the list needs."""
         if self._flight.commander.system and not self._known_all:
@@ -90,7 +95,7 @@ class Preflight:
         Once all of the list is known, it is told first.
         """
         if not self._known_all or self._told:
-            return self.missing or ("" if self._wind else UNANSWERED)
+            return self.unready
         if self._wind:
             self._tell()
             return STILL_READING

@@ -179,8 +179,13 @@ class Bus:
                 self.close()
                 raise self._superfluous()
         if announced:
-            self._look_for_rights(HEALTH, HEALTH.writers, "publish", service)
-            self._hold("token", lambda session: session.liveliness().declare_token(own_health))
+            self.announce()
+
+    def announce(self) -> None:
+        """Show by a liveliness token that the service is there."""
+        self._look_for_rights(HEALTH, HEALTH.writers, "publish", self.service)
+        own_health = self._name(HEALTH)
+        self._hold("token", lambda session: session.liveliness().declare_token(own_health))
 
     def _name(self, key: Key, vehicle: int | None = None) -> str:
         """Return the name on which it publishes: of its own vehicle, unless another is given."""

@@ -109,7 +109,7 @@ def add_arguments(
     )
     parser.add_argument("--open", action="store_true", help="the same, and open it in a browser")
     add_fleet_arguments(parser)
-    add_vehicle_url(parser)
+    add_vehicle_url(parser, several=True)
     add_payload_argument(parser, "with --vehicle, ")
     cli.add_output_guard(parser)
     parser.add_argument(
@@ -189,7 +189,7 @@ def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> La
         plume = (
             _words(given, "problem", "seed", "sensor", "dwell", "world") if args.payload == SIMULATED else []
         )
-        real = RealVehicle(url=args.vehicle, payload=args.payload, payload_arguments=plume, wait_s=args.wait)
+        real = RealVehicle(urls=args.vehicle, payload=args.payload, payload_arguments=plume, wait_s=args.wait)
     return Launch(
         script=script,
         instance=args.instance,

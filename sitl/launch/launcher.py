@@ -49,7 +49,6 @@ from sitl.launch.viewing import NO_PAGE, MissionPage
 from sitl.launch.watchdog import LOOK_S, Watchdog
 from sitl.script.script import Cut, Expectation, Script
 
-PAYLOAD = "payload"
 CALL_EVERY_S = 1.0  # real time between two commands to return home
 LATE_STOP_S = 2.0  # a stop may reach us this much later than the vehicle, which lands because of it
 SHOWN = re.compile("Script: |Check: ")  # lines that are shown whatever their level
@@ -82,7 +81,7 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
     """
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
-        payload = [PAYLOAD] * bool(mission.real)
+        payload = [*mission.payloads]
         uavs = ", ".join(mission.uavs)
         starting = [uavs if mission.connect else f"router, {uavs}, estimator, agent", *payload]
         progress = stack.enter_context(Progress(mission.script.budget, ", ".join(starting)))
@@ -172,7 +171,7 @@ def start_parts(
     if mission.numbers:
         about["fleet"] = mission.fleet
     if real:
-        about |= {"vehicle": real.url, "payload": real.payload}
+        about |= {"vehicle": ", ".join(real.urls), "payload": real.payload}
     about_json = msgspec.json.encode(about).decode()
     recorder = None
     if mission.record:
@@ -187,13 +186,13 @@ def start_parts(
     page.await_start(say)
     if real:
         measures = ("--payload", real.payload, *real.payload_arguments)
-        processes.start(PAYLOAD, "sitl", "payload", *measures, *joining(PAYLOAD))
+        for payload in mission.payloads:
+            number = payload.partition("/")[2]
+            own = ("--number", number) if number else ()
+            processes.start(payload, "sitl", "payload", *measures, *joining(payload), *own)
     for uav, arguments in uav_arguments(mission).items():
-        words = *arguments, *joining("uav")
-        if real:
-            processes.start(uav, "sitl", "uav", "--vehicle", real.url, *words, kind=FLYING)
-        else:
-            processes.start(uav, "sitl", "uav", *words)
+        kind = FLYING if uav in mission.real_uavs else None
+        processes.start(uav, "sitl", "uav", *arguments, *joining(uav), kind=kind)
     return endpoint
 
 
@@ -313,7 +312,7 @@ class MissionWatch:
             return "flying to the start" + "s" * (len(states) > 1)
         if busy := [state for state in states if state not in ("", "standby", "searching")]:
             return busy[0]
-        missing = sorted({*SEARCHERS, *uavs, *[PAYLOAD] * bool(self._mission.real)} - set(heard.health))
+        missing = sorted({*SEARCHERS, *uavs, *self._mission.payloads} - set(heard.health))
         if any(self._last_words.get(part) == COMPILING for part in missing):
             return COMPILING
         if missing:
@@ -429,7 +428,8 @@ class MissionWatch:
             if not last.ceased and time.monotonic() >= call_at:
                 for vehicle in flying:
                     if vehicle.state == "searching":
-                        call = order(after, vehicle.system, SEARCH if self._mission.real else AUTOPILOT)
+                        is_real = vehicle.part in self._mission.real_uavs
+                        call = order(after, vehicle.system, SEARCH if is_real else AUTOPILOT)
                         self._bus.publish(MAVLINK_IN, codec.pack(call), vehicle=vehicle.number)
                 call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)

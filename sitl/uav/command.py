@@ -1,13 +1,15 @@
 """`plumeward uav`: one vehicle alone, simulated or real."""
 
 import argparse
+import math
 import shlex
 from dataclasses import replace
 from importlib import import_module
 
+from aircraft.payload.simulated import turned
 from aircraft.search.command import Orders, fly
 from aircraft.search.events import OnBoard, happens_to
-from aircraft.search.options import add_vehicle_url
+from aircraft.search.options import add_vehicle_url, parse_wind
 from link import cli
 from plume.problem import PAPER
 from plume.problems.fleet import ALONE, MOST_VEHICLES, Fleet
@@ -48,24 +50,28 @@ def run(args: argparse.Namespace) -> int:
     together = fleet.vehicles > 1
     chosen += f" --vehicles {fleet.vehicles}" if together else ""
     apart = together and fleet.separation_m != ALONE.separation_m
+    world = script.simulated()
+    if args.wind and not args.vehicle:
+        world = turned(world, math.hypot(*(wind := parse_wind(args.wind))), math.atan2(wind[1], wind[0]))
     orders = Orders(
-        script.simulated(),
+        world,
         script.speedup,
         [event for event in script.events if isinstance(event, OnBoard) and happens_to(event, number)],
         script.vehicle.after_stop,
         chosen,
         f" --separation {fleet.separation_m!r}" if apart else "",
         number if together else None,
+        fleet.starts(world.start, world.seed, world.problem.ground) if together else (),
     )
     config = script.vehicle_config(args.sysid or args.instance + 1)
+    if together:
+        config = replace(config, silence_s=config.silence_s + longest_wait_s(config, world.sensor.dwell))
     if args.vehicle:
+        if together:  # each has an id of its own, or a waypoint would be for two
+            args.sysid = config.sysid
         return int(import_module(REAL_VEHICLE).run(args, orders, config))
     # All of a search have one home, the origin of what they search: that of the first one.
     config = at_own_home(config, max(args.instance + 1 - number, 0))
-    if together:
-        config = replace(
-            config, silence_s=config.silence_s + longest_wait_s(config, orders.world.sensor.dwell)
-        )
     vehicle = Vehicle(config)
     return fly(args, orders, lambda equipment, _: simulated_uav(vehicle, orders, equipment, number, fleet))
 
@@ -80,7 +86,5 @@ def _place_in_fleet(args: argparse.Namespace, script: Script) -> tuple[Fleet, in
     number = args.number or args.instance + 1
     if number > fleet.vehicles:
         raise cli.BadInput(f"--number: {number} is not allowed; wanted 1 to {fleet.vehicles} (--vehicles)")
-    if args.vehicle:
-        raise cli.BadInput("--vehicles: not with --vehicle: only simulated vehicles search together")
     args.namespace = args.namespace or f"search/{max(args.instance + 2 - number, 1)}"
     return fleet, number
