@@ -76,9 +76,11 @@ class Known:
     boot_ms: int = 0  # the autopilot's clock when it last told its position or attitude
     boots: int = 0  # how often that clock has begun anew
     came_s: dict[int, float] = field(default_factory=dict)  # when each message type last came, by number
+    # The origin of the search area, latitude and longitude in degrees; None: home.
+    area_origin: tuple[float, float] | None = None
     _texts: Texts = field(default_factory=Texts)
     _breach: tuple[int, int] = (0, 0)  # whether the fence is breached, and how often it was
-    _corner: Ned = ZERO  # of the search area; known once home and origin are
+    _corner: Ned = ZERO  # the search area's origin; known once home and the EKF's origin are
 
     def take(self, message: Message, now_s: float) -> None:
         """Take a message of this vehicle's autopilot."""
@@ -232,9 +234,9 @@ class Known:
     # ---- where the search area is ----
 
     def place_area(self) -> None:
-        """Place the area at home, once that is known."""
+        """Place the area at home or at its own origin, at home's height, once home is known."""
         if self.origin is not None and self.home is not None:
-            self._corner = self.to_home()
+            self._corner = self.to_area()
 
     @property
     def _area_at(self) -> Ned:
@@ -261,6 +263,20 @@ class Known:
         if self.origin is None or self.home is None:
             raise ValueError("origin and home are not known yet")
         return home_from(self.origin, self.home)
+
+    def to_area(self) -> Ned:
+        """Return where the area's origin is in the EKF's frame. Raises ValueError as `to_home` does."""
+        home = self.to_home()
+        if self.origin is None or self.area_origin is None:
+            return home
+        north, east, _ = home_from(self.origin, (*self.area_origin, self.origin[2]))
+        return north, east, home[2]
+
+    @property
+    def home_place(self) -> tuple[float, float]:
+        """Where home is in the area's frame, (x, y) m. Raises ValueError as `to_home` does."""
+        (north, east, _), (area_north, area_east, _) = self.to_home(), self.to_area()
+        return east - area_east, north - area_north
 
     @property
     def on_ground(self) -> bool:

@@ -10,6 +10,7 @@ from aircraft.remote.course import SPEED_MPS, Course
 from aircraft.remote.preflight import WAITING, Preflight
 from aircraft.remote.procedures import Procedures
 from aircraft.remote.watch import Watch
+from aircraft.search.together import Berth
 from aircraft.state import (
     ACCEPTED,
     AircraftConfig,
@@ -33,7 +34,7 @@ WIND_S = 5.0  # a wind that was told longer ago is not known
 class RemoteVehicle:
     """One real multirotor, or its own simulator.
 
-    Positions are NED, m from the search area's south-west corner, which is home.
+    Positions are NED, m from the origin of the search area, which is home unless a berth has another.
 
     No call waits: a command begins, `mode` shows what is being done, and `advance` tells what comes of it.
     Times are s of the caller's clock, which runs as fast as the vehicle's own simulator. Setpoints go out
@@ -51,19 +52,22 @@ class RemoteVehicle:
         wait_s: float = math.inf,
         *,
         launched: bool = False,
+        berth: Berth | None = None,
     ) -> None:
         """Take the conversation with a vehicle, which need not be there yet.
 
         `config` says how high and how far it may fly.
 
         wait_s, launched: how long the search's begin is waited for, as `Preflight` says.
+        berth: its place among several that search together.
         """
         self.config = config
         self.is_searched = False  # whether its search leads it
         self.now_s = 0.0  # the time of the last call
         self.flight = Procedures(commander)
-        self.preflight = Preflight(self.flight, config, wait_s, launched=launched)
+        self.preflight = Preflight(self.flight, config, wait_s, launched=launched, berth=berth)
         self._commander, self._known = commander, commander.known
+        self._known.area_origin = berth.origin if berth else None
         self._watch = Watch(self.flight)
         self.course = Course(self.flight, config)
         self._follows = False  # whether the companion's mode means OFFBOARD, not HOLD

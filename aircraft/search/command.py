@@ -10,6 +10,7 @@ from aircraft.bridge.address import parse_out
 from aircraft.search.clock import Clock
 from aircraft.search.events import OnBoard
 from aircraft.search.search import AfterStop
+from aircraft.search.together import Berth
 from aircraft.search.uav import Equipment, Speaker, Uav
 from aircraft.state import VehicleFailed
 from link import cli
@@ -33,7 +34,7 @@ class Orders:
     estimator: str = ""  # flags that its estimator needs
     agent: str = ""  # flags that its agent needs
     number: int | None = None  # its number in a search of several vehicles; None: it searches alone
-    starts: Sequence[tuple[float, float]] = ()  # where each of several begins, (x, y) m, in their order
+    berth: Berth | None = None  # its place among them
 
 
 # Makes the service; what it opens is closed with the stack. Raises ValueError for a URL of `outs` that cannot

@@ -1,4 +1,4 @@
-"""Where a vehicle is in the search area's frame, whose origin is home.
+"""Where a vehicle is in the search area's frame, whose origin is home unless another one is known.
 
 Its LOCAL_POSITION_NED is in a frame of its own.
 """
@@ -30,7 +30,9 @@ class AreaFrame:
     origin, also after the landing.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, origin: tuple[float, float] | None = None) -> None:
+        """Take the area's origin, latitude and longitude, degrees; None: it is the vehicle's home."""
+        self._area = origin
         self._autopilot = -1
         self.forget()
 
@@ -44,15 +46,15 @@ class AreaFrame:
 
     @property
     def zero(self) -> Ned | None:
-        """Home in the vehicle's own frame; None while that is not known."""
+        """The area's origin, at home's height, in the vehicle's own frame; None while it is not known."""
         if self._origin and self._home:
-            return home_from(self._origin, self._home)
+            return home_from(self._origin, self.home or self._home)
         return None if self._origin or self._autopilot == ARDUPILOT else (0.0, 0.0, 0.0)
 
     @property
     def home(self) -> Fix | None:
-        """Home, the frame's origin: latitude and longitude, degrees, and altitude, m; None if not told."""
-        return self._home
+        """The frame's origin: latitude and longitude, degrees, and home's altitude, m; None if not told."""
+        return (*self._area, self._home[2]) if self._area and self._home else self._home
 
     def take(self, message_id: int, fields: dict[str, Any]) -> bool:
         """Take one of the `PLACING` messages of the vehicle's autopilot.

@@ -39,7 +39,7 @@ from link.record.reader import Recording
 from link.record.record import HEALTH_PREFIX, Entry, began_s
 from scene.follow.area import HEARTBEAT, PLACING, AreaFrame, Fix
 from scene.follow.believed import gauge_of, measured, scatter
-from scene.follow.described import WindTurn, backdrop_of, turns_of
+from scene.follow.described import WindTurn, backdrop_of, origin_of, turns_of
 from scene.follow.parts import LONGEST, Parts
 from scene.follow.telemetry import LOCAL, RADIO, SETPOINT, SHOWN, TEXT, frames, level_of, seen, waypoint
 from scene.follow.timed import MOST, Timed, Trail
@@ -80,12 +80,14 @@ class History:
         turns: Sequence[WindTurn] | None = (),
         whole: bool = True,
         number: int = FIRST,
+        origin: tuple[float, float] | None = None,
     ) -> None:
         """Begin.
 
         whole: keep what scrubbing needs, each pose and each belief's particles; else only the newest ones.
         number: which of several vehicles that search together it follows.
         turns: the changes of the backdrop's wind, in order; None: it is the wind that the readings have.
+        origin: of the area, latitude and longitude, degrees; None: it is the vehicle's home.
         """
         self.backdrop = backdrop  # as it is at first
         self._number = number
@@ -99,7 +101,7 @@ class History:
         self._budget, self._turns, self._whole = budget, turns, whole
         self._parts = Parts(whole, self._happened)
         self._texts = {"uav": Texts(), "search": Texts()}
-        self._area = AreaFrame()
+        self._area = AreaFrame(origin)
         self._begin()
 
     def _begin(self) -> None:
@@ -354,7 +356,13 @@ def _cloud(said: Belief, attachment: bytes) -> Particles | None:
 
 def begun(about: dict[str, Any], vehicle: str = "", *, whole: bool = False, number: int = FIRST) -> History:
     """Return the history of a run of which only its own description is known; for the rest see `History`."""
-    return History(*backdrop_of(about, vehicle), turns=turns_of(about), whole=whole, number=number)
+    return History(
+        *backdrop_of(about, vehicle),
+        turns=turns_of(about),
+        whole=whole,
+        number=number,
+        origin=origin_of(about),
+    )
 
 
 def histories_of(recording: Recording, vehicle: str = "") -> list[History]:

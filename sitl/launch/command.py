@@ -29,7 +29,7 @@ from sitl.launch.recording import (
 )
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
-from sitl.script.options import FIELDS, blamed, fleet_of, script_for_vehicle, script_of
+from sitl.script.options import FIELDS, blamed, fleet_of, origin_of, script_for_vehicle, script_of
 from sitl.script.script import AgentPart, Script
 from sitl.uav.options import add_vehicle_arguments
 
@@ -176,7 +176,7 @@ def _checked_script(args: argparse.Namespace) -> Script:
     script = script_for_vehicle(script, args)
     if args.vehicle:
         check_payload(script, args.payload)
-    check_fleet(script, fleet_of(args, script), args.given)
+    check_fleet(script, fleet_of(args, script), args.given, origin_of(args, script))
     return script
 
 
@@ -199,6 +199,7 @@ def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> La
         connect=args.connect,
         secure=args.secure,
         real=real,
+        origin=origin_of(args, script) if script.fleet.vehicles > 1 else None,
         record=record,
         log_level=args.log_level,
         patience_s=args.patience,

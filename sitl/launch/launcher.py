@@ -170,6 +170,8 @@ def start_parts(
         about["scenario"] = truth
     if mission.numbers:
         about["fleet"] = mission.fleet
+        if mission.origin:
+            about["origin"] = mission.origin
     if real:
         about |= {"vehicle": ", ".join(real.urls), "payload": real.payload}
     about_json = msgspec.json.encode(about).decode()
@@ -474,7 +476,7 @@ class MissionWatch:
             intermittency=last.intermittency,
             advised_dwell_s=last.advised_dwell,
             last_word=heard.last_word(last),
-            home=heard.home if self._mission.real else self._mission.home,
+            home=self._mission.origin or (heard.home if self._mission.real else self._mission.home),
             left=heard.departures,
         )
         located = bool(result.located)

@@ -16,6 +16,7 @@ from plume.problems.fleet import ALONE, Fleet
 from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, Scenario
 from sitl.launch.watchdog import PATIENCE_S
+from sitl.script.options import ORIGIN_WANTED
 from sitl.script.script import AgentPart, Cut, EstimatorPart, Expectation, Kill, Lawnmower, Script, Waypoints
 from sitl.uav.options import at_own_home, longest_wait_s
 
@@ -54,6 +55,7 @@ class Launch:
     real: RealVehicle | None = None  # None: the simulated vehicle
     record: Path | None = None  # the MCAP file to record to
     log_level: str = "warning"
+    origin: tuple[float, float] | None = None  # of the area of several vehicles, where one is chosen, degrees
     patience_s: float = PATIENCE_S  # real time after which a silent part counts as hung
 
     @property
@@ -226,10 +228,12 @@ def uav_arguments(mission: Launch) -> dict[str, list[str]]:
     return arguments
 
 
-def check_fleet(script: Script, fleet: Fleet, given: Mapping[str, Any]) -> None:
+def check_fleet(
+    script: Script, fleet: Fleet, given: Mapping[str, Any], origin: tuple[float, float] | None = None
+) -> None:
     """Raise BadInput if a script cannot be flown by several vehicles.
 
-    given: the flags that stand on the command line.
+    given: the flags that stand on the command line.  origin: of the area, latitude and longitude, degrees.
     """
     for number, event in enumerate(script.events):
         if isinstance(event, OfVehicle) and event.vehicle and event.vehicle > fleet.vehicles:
@@ -237,7 +241,7 @@ def check_fleet(script: Script, fleet: Fleet, given: Mapping[str, Any]) -> None:
                 f"MISSION: events[{number}].vehicle: {event.vehicle} is not allowed; "
                 f"wanted 1 to {fleet.vehicles}, as many fly"
             )
-    _check_real(fleet, given)
+    _check_real(fleet, given, origin)
     if fleet.vehicles == 1:
         return
     for number, event in enumerate(script.events):
@@ -248,26 +252,23 @@ def check_fleet(script: Script, fleet: Fleet, given: Mapping[str, Any]) -> None:
             raise BadInput(f"--vehicles: events[{number}], {tag} uav, cannot happen: there are several")
 
 
-def _check_real(fleet: Fleet, given: Mapping[str, Any]) -> None:
+def _check_real(fleet: Fleet, given: Mapping[str, Any], origin: tuple[float, float] | None) -> None:
     """Raise BadInput if real autopilots cannot fly with a fleet."""
     urls, payload = given.get("vehicle", ()), given.get("payload", SIMULATED)
     if len(urls) > fleet.vehicles:
         raise BadInput(
             f"--vehicle: {len(urls)} are given, and {fleet.vehicles} would fly; wanted --vehicles {len(urls)}"
         )
-    if len(urls) > 1:
-        raise BadInput(
-            "--vehicle: several real vehicles cannot search together yet, each from a home of its own; "
-            "wanted one"
-        )
+    if len(urls) > 1 and origin is None:
+        raise BadInput(f"--home: wanted with several --vehicle: {ORIGIN_WANTED}")
     if not urls and "wind" in given:
         raise BadInput("--wind: only with --vehicle; the simulated vehicle's wind is the mission's")
     if len(set(urls)) < len(urls):
         raise BadInput("--vehicle: the same URL twice; wanted one for each real vehicle")
-    if urls and len(urls) < fleet.vehicles and payload != SIMULATED:
+    if fleet.vehicles > 1 and urls and payload != SIMULATED:
         raise BadInput(
-            f"--payload: {payload} is not allowed with simulated vehicles, whose plume is another; wanted "
-            f"{SIMULATED}, or a --vehicle for each of --vehicles {fleet.vehicles}"
+            f"--payload: {payload} is not allowed with --vehicles; wanted {SIMULATED}, or the parts of each "
+            "real vehicle started by themselves, with --number"
         )
 
 

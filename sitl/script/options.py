@@ -53,7 +53,8 @@ SIMULATED_ONLY = {
     "home": "a real vehicle's home is where it stands",
     "strict": "a real autopilot has its own rules for OFFBOARD",
 }
-# Fields of a script's vehicle that a real one takes.
+ORIGIN_WANTED = "LAT,LON,ALT,HEADING, of which the first two are the origin of the area for all"
+# Fields of a script's vehicle that a real one takes; one of several takes an origin, too.
 TAKEN = ("takeoff_altitude_m", "silence_s", "after_stop")
 HOME = ("home_lat_deg", "home_lon_deg", "home_alt_m", "home_heading_deg")
 
@@ -148,8 +149,9 @@ def script_for_vehicle(script: Script, args: argparse.Namespace) -> Script:
             raise BadInput(f"--{flag}: {reason}")
     if "vehicle" not in given:
         return script
+    together = script.fleet.vehicles > 1
     for flag, reason in SIMULATED_ONLY.items():
-        if flag in given:
+        if flag in given and not (together and flag == "home"):
             raise BadInput(f"--{flag}: not with --vehicle: {reason}")
     speedup = given.get("speedup", 1.0)
     if not speedup:
@@ -161,11 +163,21 @@ def script_for_vehicle(script: Script, args: argparse.Namespace) -> Script:
         raise BadInput("MISSION: a wind event is not allowed with --vehicle: its wind is measured")
     usual = VehiclePart()
     for field in usual.__struct_fields__:
-        if field not in TAKEN and getattr(script.vehicle, field) != getattr(usual, field):
+        if field not in (*TAKEN, *HOME * together) and getattr(script.vehicle, field) != getattr(
+            usual, field
+        ):
             raise BadInput(
                 f"MISSION: vehicle.{field} is not allowed with --vehicle: the autopilot has its own setting"
             )
     return script.changed({"speedup": speedup})
+
+
+def origin_of(args: argparse.Namespace, script: Script) -> tuple[float, float] | None:
+    """Return the latitude and longitude of the area's origin, degrees; None if no home has been chosen."""
+    chosen, usual = script.vehicle, VehiclePart()
+    place = chosen.home_lat_deg, chosen.home_lon_deg
+    is_usual = "home" not in args.given and place == (usual.home_lat_deg, usual.home_lon_deg)
+    return None if is_usual else place
 
 
 def fleet_of(args: argparse.Namespace, script: Script) -> Fleet:

@@ -10,12 +10,13 @@ from aircraft.payload.simulated import turned
 from aircraft.search.command import Orders, fly
 from aircraft.search.events import OnBoard, happens_to
 from aircraft.search.options import add_vehicle_url, parse_wind
+from aircraft.search.together import Berth
 from link import cli
 from plume.problem import PAPER
 from plume.problems.fleet import ALONE, MOST_VEHICLES, Fleet
 from plume.problems.options import add_fleet_arguments
 from sitl.autopilot.vehicle import Vehicle
-from sitl.script.options import fleet_of, script_for_vehicle, script_of
+from sitl.script.options import ORIGIN_WANTED, fleet_of, origin_of, script_for_vehicle, script_of
 from sitl.script.script import Script
 from sitl.uav.options import add_vehicle_arguments, at_own_home, longest_wait_s
 from sitl.uav.simulated import simulated_uav
@@ -61,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         chosen,
         f" --separation {fleet.separation_m!r}" if apart else "",
         number if together else None,
-        fleet.starts(world.start, world.seed, world.problem.ground) if together else (),
+        _berth(args, script, fleet, number) if together else None,
     )
     config = script.vehicle_config(args.sysid or args.instance + 1)
     if together:
@@ -74,6 +75,20 @@ def run(args: argparse.Namespace) -> int:
     config = at_own_home(config, max(args.instance + 1 - number, 0))
     vehicle = Vehicle(config)
     return fly(args, orders, lambda equipment, _: simulated_uav(vehicle, orders, equipment, number, fleet))
+
+
+def _berth(args: argparse.Namespace, script: Script, fleet: Fleet, number: int) -> Berth:
+    """Return a vehicle's place among several. Raises BadInput if it is real and has no origin."""
+    world = script.simulated()
+    starts = fleet.starts(world.start, world.seed, world.problem.ground)
+    if args.vehicle and number > 1 and origin_of(args, script) is None:
+        raise cli.BadInput(f"--home: wanted with --vehicle of vehicle {number}: {ORIGIN_WANTED}")
+    return Berth(
+        starts[number - 1],
+        [start for other, start in enumerate(starts, 1) if other != number],
+        fleet.separation_m,
+        origin_of(args, script),
+    )
 
 
 def _place_in_fleet(args: argparse.Namespace, script: Script) -> tuple[Fleet, int]:
