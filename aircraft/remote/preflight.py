@@ -13,6 +13,7 @@ from aircraft.remote.procedures import ENDED, Procedures
 from aircraft.remote.safety import ASKED, Check, Verdict, checks
 from aircraft.search.together import Berth, Place
 from aircraft.state import LOW_BATTERY, AircraftConfig, VehicleFailed
+from link.bus.keys import OF_VEHICLE
 from plume.problem import Area
 
 READY_S = 3.0  # the battery, and whether it would arm, are waited for this long once its place is known
@@ -154,8 +155,11 @@ class Preflight:
             raise VehicleFailed(self._wind.text)
         why = [waits_for.removeprefix(WAITING)]
         if absent:
-            services = f"no {', '.join(sorted(absent))}: the first lines of this log say how to start it"
-            why = [self.missing, "" if self._launched else services]
+            others = sorted(each for each in absent if each.startswith(OF_VEHICLE))
+            services = ", ".join(sorted({*absent} - {*others}))
+            services = f"no {services}: the first lines of this log say how to start it" if services else ""
+            others_wait = f"{', '.join(others)} not ready to take off" if others else ""
+            why = [self.missing, "" if self._launched else services, others_wait]
         elif self._flight.arming:
             why.append(self._known.warned(self._flight.now_s - REFUSED_S))
         elif self._known.armed:

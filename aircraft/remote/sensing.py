@@ -12,7 +12,7 @@ from aircraft.remote.winds import Winds
 from aircraft.search.together import Together
 from aircraft.state import Arrived, Ned
 from link.bus.backoff import Backoff
-from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, RESEND_FIRST_S, RESEND_LAST_S
+from link.bus.keys import OF_VEHICLE, PAYLOAD_IN, PAYLOAD_OUT, RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.mavlink import Codec
 from link.bus.session import Bus
 
@@ -26,13 +26,15 @@ class AskedSensor(GasSensor):
 
     keys = (PAYLOAD_OUT,)
 
-    def __init__(self, vehicle: RemoteVehicle, bus: Bus, winds: Winds, vehicles: int = 1) -> None:
-        """Take the vehicle, and how many search together with it, itself included."""
+    def __init__(
+        self, vehicle: RemoteVehicle, bus: Bus, winds: Winds, vehicles: int = 1, number: int = 1
+    ) -> None:
+        """Take the vehicle, how many search together with it, itself included, and its number there."""
         self._vehicle, self._bus, self._winds = vehicle, bus, winds
-        self._together, self.among = Together(vehicles), vehicles
-        self._payload = "payload" if bus.vehicle is None else f"payload/{bus.vehicle}"
+        self._together, self.among, self._number = Together(vehicles), vehicles, number
+        self._payload = "payload" if vehicles == 1 else f"payload/{number}"
         self._announced = vehicles == 1
-        self.services = self._together.services | {self._payload}
+        self._wants_others()
         self._codec = Codec(0, SEARCH)
         self._open: tuple[int, bytes] | None = None  # time_boot_ms of the question, and its frames
         self._repeating = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
@@ -58,7 +60,11 @@ class AskedSensor(GasSensor):
     def leaves(self, vehicle: int, step: int) -> None:
         """Learn that a vehicle has left the search. It is not waited for."""
         self._together.leaves(vehicle, step)
-        self.services = self._together.services | {self._payload}
+        self._wants_others()
+
+    def _wants_others(self) -> None:
+        """Wait for those that are left, and for its own payload: its own token says when it can take off."""
+        self.services = self._together.services - {f"{OF_VEHICLE}{self._number}"} | {self._payload}
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> None:
         """Ask for reading `number`. An open question is replaced: its answer no longer counts."""

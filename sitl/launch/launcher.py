@@ -333,6 +333,9 @@ class MissionWatch:
                 next(each for each in self._heard.vehicles if each.part == part).ended = how_ended(item)
                 self._watchdog.ended(part)
                 self._progress.say(f"warning: {part} {how_ended(item)}; its last words: {item.last_words}")
+            case Ended(part=part) if self._spares_payload(item):  # its vehicle gives up by itself
+                self._watchdog.ended(part)
+                self._progress.say(f"warning: {part} {how_ended(item)}; its last words: {item.last_words}")
             case Ended():
                 raise_for(item)
             case LogLine(part, line, level):
@@ -370,11 +373,16 @@ class MissionWatch:
             and all(each.state not in ("", STANDBY) for each in heard.vehicles)
         )
 
+    def _spares_payload(self, ended: Ended) -> bool:
+        """Whether a part that has ended is the payload of one of several vehicles."""
+        is_one = bool(self._mission.numbers) and ended.part in self._mission.payloads
+        return is_one and ended.status not in (INTERRUPTED, BAD_INPUT)
+
     def _introduce(self) -> None:
         """Say what is flown, once the search has begun; from then on its record counts."""
         script = self._mission.script
         if self._mission.numbers:
-            self._watchdog.spare(self._mission.uavs)  # the others go on without one
+            self._watchdog.spare([*self._mission.uavs, *self._mission.payloads])  # the others go on without
         if script.about:
             self._progress.say(printable(script.about))
         where = "" if script.problem.area == PAPER.area else f"area {script.problem.area.text}, "
