@@ -189,13 +189,13 @@ class Preflight:
         place = Check("position and home", Verdict.FORBIDS, known.unplaced(self._flight.now_s))
         if known.home and not place.text:
             (north, east, _), (lat, lon, _) = known.to_home(), known.home
-            from_there = ""
+            of_home, from_there = "home, ", ""
             if known.area_origin:
                 lat, lon = known.area_origin
-                x, y = known.home_place
+                of_home, (x, y) = "", known.home_place
                 from_there = f" (--home); the vehicle's own home is ({x:.2f}, {y:.2f}) m east, north of there"
             where = (
-                f"the area {lies(config.area)} of home, {lat:.7f}, {lon:.7f}{from_there}; "
+                f"the area {lies(config.area)} of {of_home}{lat:.7f}, {lon:.7f}{from_there}; "
                 f"home is ({north:.2f}, {east:.2f}) m north, east of the EKF's origin"
             )
             place = Check("position and home", Verdict.OK, where)

@@ -7,6 +7,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from aircraft.firmware import COMING_DOWN
 from aircraft.remote.commander import Commander
 from aircraft.remote.course import SPEED_MPS, Course
+from aircraft.remote.known import Global
 from aircraft.remote.preflight import WAITING, Preflight
 from aircraft.remote.procedures import Procedures
 from aircraft.remote.watch import Watch
@@ -154,6 +155,12 @@ class RemoteVehicle:
     def waypoint(self) -> Ned | None:
         """The last accepted setpoint; None before the first."""
         return self.course.waypoint
+
+    @property
+    def area_origin(self) -> Global | None:
+        """The area's origin, latitude and longitude in degrees, at home's altitude, m; None: it is home."""
+        area, home = self._known.area_origin, self._known.home
+        return (*area, home[2]) if area and home else None
 
     @property
     def wind(self) -> tuple[float, float] | None:

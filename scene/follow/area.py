@@ -30,9 +30,9 @@ class AreaFrame:
     origin, also after the landing.
     """
 
-    def __init__(self, origin: tuple[float, float] | None = None) -> None:
-        """Take the area's origin, latitude and longitude, degrees; None: it is the vehicle's home."""
-        self._area = origin
+    def __init__(self) -> None:
+        # The area's origin, latitude and longitude, degrees; None: it is the vehicle's home.
+        self._area: tuple[float, float] | None = None
         self._autopilot = -1
         self.forget()
 
@@ -77,6 +77,14 @@ class AreaFrame:
             self.on_ground = self._landed == mavlink.MAV_LANDED_STATE_ON_GROUND
         elif self._status >= 0:
             self.on_ground = self._status in GROUNDED
+        return self.zero != before
+
+    def lies(self, fields: dict[str, Any]) -> bool:
+        """Take the GPS_GLOBAL_ORIGIN of the search that flies it: the area's origin, if that is not home.
+
+        Returns whether it has moved.
+        """
+        before, self._area = self.zero, _fix(fields)[:2]
         return self.zero != before
 
     def place(self, local: dict[str, Any]) -> tuple[float, float, float] | None:

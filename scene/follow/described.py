@@ -58,14 +58,6 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
     return backdrop, budget if isinstance(budget, int) else None
 
 
-def origin_of(about: dict[str, Any]) -> tuple[float, float] | None:
-    """Return the origin of the area, latitude and longitude, degrees; None: it is the vehicle's home."""
-    match about.get("origin"):
-        case [float(lat_deg), float(lon_deg)] if abs(lat_deg) <= 90 and abs(lon_deg) <= 180:
-            return lat_deg, lon_deg
-    return None
-
-
 def problem_of(about: dict[str, Any]) -> Problem:
     """Return the problem of a run; the paper's if its description does not tell."""
     with suppress(KeyError, msgspec.ValidationError):

@@ -37,9 +37,9 @@ from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
 from link.record.reader import Recording
 from link.record.record import HEALTH_PREFIX, Entry, began_s
-from scene.follow.area import HEARTBEAT, PLACING, AreaFrame, Fix
+from scene.follow.area import HEARTBEAT, ORIGIN, PLACING, AreaFrame, Fix
 from scene.follow.believed import gauge_of, measured, scatter
-from scene.follow.described import WindTurn, backdrop_of, origin_of, turns_of
+from scene.follow.described import WindTurn, backdrop_of, turns_of
 from scene.follow.parts import LONGEST, Parts
 from scene.follow.telemetry import LOCAL, RADIO, SETPOINT, SHOWN, TEXT, frames, level_of, seen, waypoint
 from scene.follow.timed import MOST, Timed, Trail
@@ -80,14 +80,12 @@ class History:
         turns: Sequence[WindTurn] | None = (),
         whole: bool = True,
         number: int = FIRST,
-        origin: tuple[float, float] | None = None,
     ) -> None:
         """Begin.
 
         whole: keep what scrubbing needs, each pose and each belief's particles; else only the newest ones.
         number: which of several vehicles that search together it follows.
         turns: the changes of the backdrop's wind, in order; None: it is the wind that the readings have.
-        origin: of the area, latitude and longitude, degrees; None: it is the vehicle's home.
         """
         self.backdrop = backdrop  # as it is at first
         self._number = number
@@ -101,7 +99,7 @@ class History:
         self._budget, self._turns, self._whole = budget, turns, whole
         self._parts = Parts(whole, self._happened)
         self._texts = {"uav": Texts(), "search": Texts()}
-        self._area = AreaFrame(origin)
+        self._area = AreaFrame()
         self._begin()
 
     def _begin(self) -> None:
@@ -216,7 +214,7 @@ class History:
         return (
             self.own.sent(frame)
             or frame.message_id == RADIO
-            or (frame.message_id in (TEXT, HEARTBEAT) and self.own.searched(frame))
+            or (frame.message_id in (TEXT, HEARTBEAT, ORIGIN) and self.own.searched(frame))
         )
 
     def _take_telemetry(self, payload: bytes, time_s: float) -> bool:
@@ -230,6 +228,9 @@ class History:
                 who = "uav" if is_own else "search"
                 if text := self._texts[who].joined(fields["text"], fields["id"], fields["chunk_seq"]):
                     self._happened(time_s, level_of(fields["severity"]), who, text)
+            elif frame.message_id == ORIGIN and not is_own:
+                if self._area.lies(fields):
+                    self._displace()
             elif is_own or frame.message_id == RADIO:
                 self._take_own(frame.message_id, fields, time_s)
         self._heard_s = self.wall_s if heard else self._heard_s
@@ -356,13 +357,7 @@ def _cloud(said: Belief, attachment: bytes) -> Particles | None:
 
 def begun(about: dict[str, Any], vehicle: str = "", *, whole: bool = False, number: int = FIRST) -> History:
     """Return the history of a run of which only its own description is known; for the rest see `History`."""
-    return History(
-        *backdrop_of(about, vehicle),
-        turns=turns_of(about),
-        whole=whole,
-        number=number,
-        origin=origin_of(about),
-    )
+    return History(*backdrop_of(about, vehicle), turns=turns_of(about), whole=whole, number=number)
 
 
 def histories_of(recording: Recording, vehicle: str = "") -> list[History]:

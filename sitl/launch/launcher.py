@@ -170,8 +170,6 @@ def start_parts(
         about["scenario"] = truth
     if mission.numbers:
         about["fleet"] = mission.fleet
-        if mission.origin:
-            about["origin"] = mission.origin
     if real:
         about |= {"vehicle": ", ".join(real.urls), "payload": real.payload}
     about_json = msgspec.json.encode(about).decode()

@@ -259,8 +259,8 @@ def _check_real(fleet: Fleet, given: Mapping[str, Any], origin: tuple[float, flo
         raise BadInput(
             f"--vehicle: {len(urls)} are given, and {fleet.vehicles} would fly; wanted --vehicles {len(urls)}"
         )
-    if len(urls) > 1 and origin is None:
-        raise BadInput(f"--home: wanted with several --vehicle: {ORIGIN_WANTED}")
+    if urls and fleet.vehicles > 1 and origin is None:
+        raise BadInput(f"--home: wanted with --vehicle and --vehicles: {ORIGIN_WANTED}")
     if not urls and "wind" in given:
         raise BadInput("--wind: only with --vehicle; the simulated vehicle's wind is the mission's")
     if len(set(urls)) < len(urls):

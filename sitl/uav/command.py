@@ -81,8 +81,8 @@ def _berth(args: argparse.Namespace, script: Script, fleet: Fleet, number: int) 
     """Return a vehicle's place among several. Raises BadInput if it is real and has no origin."""
     world = script.simulated()
     starts = fleet.starts(world.start, world.seed, world.problem.ground)
-    if args.vehicle and number > 1 and origin_of(args, script) is None:
-        raise cli.BadInput(f"--home: wanted with --vehicle of vehicle {number}: {ORIGIN_WANTED}")
+    if args.vehicle and origin_of(args, script) is None:
+        raise cli.BadInput(f"--home: wanted with --vehicle and --vehicles: {ORIGIN_WANTED}")
     return Berth(
         starts[number - 1],
         [start for other, start in enumerate(starts, 1) if other != number],
