@@ -10,10 +10,12 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.firmware import ARDUCOPTER, FIRMWARES, POSITION_GOOD, Firmware, stands
 from aircraft.remote.glitches import Fix, Glitches
+from aircraft.search.together import Berth
 from aircraft.state import ZERO, Ned, as_float32
 from link.bus.mavlink import Message, Texts
 from link.modes import Mode
-from plume.geodesy import home_from
+from plume.geodesy import home_from, to_local
+from plume.problem import AREA, Area
 
 LOST_S = 3.0  # time without a HEARTBEAT after which the link counts as lost; it comes once a second
 STALE_S = 1.0  # time after which a position is too old to act on
@@ -76,8 +78,12 @@ class Known:
     boot_ms: int = 0  # the autopilot's clock when it last told its position or attitude
     boots: int = 0  # how often that clock has begun anew
     came_s: dict[int, float] = field(default_factory=dict)  # when each message type last came, by number
-    # The origin of the search area, latitude and longitude in degrees; None: home.
-    area_origin: tuple[float, float] | None = None
+    # Its place among several that search together, and their area; None: it searches alone.
+    berth: Berth | None = None
+    area: Area = AREA
+    # Where home is meant to be, latitude and longitude in degrees, and how far from there it may be, m.
+    home_meant: tuple[float, float] | None = None
+    home_within_m: float = math.inf
     _texts: Texts = field(default_factory=Texts)
     _breach: tuple[int, int] = (0, 0)  # whether the fence is breached, and how often it was
     _corner: Ned = ZERO  # the search area's origin; known once home and the EKF's origin are
@@ -219,7 +225,27 @@ class Known:
             return f"no GPS_GLOBAL_ORIGIN, {asked} without it the area has no place"
         if self.home is None:
             return f"no HOME_POSITION, {asked} set home from a ground station"
-        return ""
+        return self.misplaced
+
+    @property
+    def misplaced(self) -> str:
+        """Why its home is not where the area was drawn for; empty if it is, or is not known."""
+        if self.home is None or self.origin is None:
+            return ""
+        if self.berth:
+            return self.berth.misplaced(self.home_place, self.area)
+        if self.home_meant is None:
+            return ""
+        (lat, lon, _), (meant_lat, meant_lon) = self.home, self.home_meant
+        north, east = to_local(meant_lat, meant_lon, lat, lon)
+        away_m = math.sqrt(north * north + east * east)
+        if away_m <= self.home_within_m:
+            return ""
+        return (
+            f"home, {lat:.7f}, {lon:.7f}, is {away_m:.1f} m from the problem's, {meant_lat:.7f}, "
+            f"{meant_lon:.7f}: its area would lie elsewhere by as much; wanted within "
+            f"{self.home_within_m:g} m"
+        )
 
     @property
     def unready(self) -> str:
@@ -263,6 +289,11 @@ class Known:
         if self.origin is None or self.home is None:
             raise ValueError("origin and home are not known yet")
         return home_from(self.origin, self.home)
+
+    @property
+    def area_origin(self) -> tuple[float, float] | None:
+        """The area's origin, latitude and longitude in degrees; None: it is home."""
+        return self.berth.origin if self.berth else None
 
     def to_area(self) -> Ned:
         """Return where the area's origin is in the EKF's frame. Raises ValueError as `to_home` does."""

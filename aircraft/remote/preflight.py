@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from aircraft.remote.commander import Steps
 from aircraft.remote.procedures import ENDED, Procedures
 from aircraft.remote.safety import ASKED, Check, Verdict, checks
-from aircraft.search.together import Berth, Place
+from aircraft.search.together import Place
 from aircraft.state import LOW_BATTERY, AircraftConfig, VehicleFailed
 from link.bus.keys import OF_VEHICLE
 from plume.problem import Area
@@ -28,26 +28,6 @@ def farthest_m(area: Area, home: Place = (0.0, 0.0)) -> float:
     """Return how far from home, (x, y) m, a vehicle flies in an area."""
     corners = ((x, y) for x in (area.low[0], area.high[0]) for y in (area.low[1], area.high[1]))
     return max(math.dist(home, corner) for corner in corners)
-
-
-def misplaced(area: Area, home: Place, berth: Berth) -> str:
-    """Return why a home, (x, y) m, is not one to search from together with others; empty if it is."""
-    beyond_m = math.dist(
-        home, tuple(min(max(at, low), high) for at, low, high in zip(home, area.low, area.high, strict=True))
-    )
-    x, y = home
-    if beyond_m > (most_m := math.hypot(*area.size_m)):
-        return (
-            f"home is {beyond_m:.0f} m from the area, ({x:.0f}, {y:.0f}) m from its origin; wanted at most "
-            f"{most_m:.0f} m: is --home right?"
-        )
-    if other := berth.crowded(home):
-        return (
-            f"home, ({x:.1f}, {y:.1f}) m from the area's origin, is not nearer by {berth.separation_m:g} m "
-            f"(--separation) to its start ({berth.start[0]:.1f}, {berth.start[1]:.1f}) than to another's "
-            f"({other[0]:.1f}, {other[1]:.1f}): their ways could meet; move it, or choose another --from"
-        )
-    return ""
 
 
 def lies(area: Area) -> str:
@@ -68,14 +48,12 @@ class Preflight:
         wait_s: float = math.inf,
         *,
         launched: bool = False,
-        berth: Berth | None = None,
     ) -> None:
         """Take the vehicle and what is flown.
 
         wait_s: real time in which the search has to begin; launched: whether a launcher starts the
-        services, and waits for them itself.  berth: its place among several.
+        services, and waits for them itself.
         """
-        self._berth = berth
         self.has_read = False  # whether the vehicle has been found and its parameters have been read
         self._flight, self._known, self._config = flight, flight.known, config
         self._wait_s, self._launched = wait_s, launched
@@ -98,12 +76,7 @@ class Preflight:
             return STILL_READING
         if (battery := self._battery).verdict is Verdict.FORBIDS:
             return f"battery: {battery.text}"
-        return self._misplaced or self._pilot
-
-    @property
-    def _misplaced(self) -> str:
-        """Why home is not one to search from together with others; empty if it is, or for one alone."""
-        return misplaced(self._config.area, self._known.home_place, self._berth) if self._berth else ""
+        return self._pilot
 
     @property
     def unready(self) -> str:
@@ -199,8 +172,6 @@ class Preflight:
                 f"home is ({north:.2f}, {east:.2f}) m north, east of the EKF's origin"
             )
             place = Check("position and home", Verdict.OK, where)
-            if wrong := self._misplaced:
-                place = Check("position and home", Verdict.FORBIDS, wrong)
         lines = [Check("vehicle", Verdict.OK, found), place, self._battery]
         for about, why in (("arming", known.unready), ("pilot", self._pilot)):
             lines += [Check(about, Verdict.FORBIDS, why)] * bool(why)

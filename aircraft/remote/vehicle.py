@@ -66,9 +66,10 @@ class RemoteVehicle:
         self.is_searched = False  # whether its search leads it
         self.now_s = 0.0  # the time of the last call
         self.flight = Procedures(commander)
-        self.preflight = Preflight(self.flight, config, wait_s, launched=launched, berth=berth)
+        self.preflight = Preflight(self.flight, config, wait_s, launched=launched)
         self._commander, self._known = commander, commander.known
-        self._known.area_origin = berth.origin if berth else None
+        self._known.berth, self._known.area = berth, config.area
+        self._known.home_meant, self._known.home_within_m = config.home_meant, config.home_within_m
         self._watch = Watch(self.flight)
         self.course = Course(self.flight, config)
         self._follows = False  # whether the companion's mode means OFFBOARD, not HOLD

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from link.bus.keys import OF_VEHICLE, SEARCHERS
 from link.cli import numbers
+from plume.problem import Area
 
 Place = tuple[float, float]  # (x, y) m
 
@@ -17,6 +18,23 @@ class Berth(NamedTuple):
     others: Sequence[Place] = ()  # where the others start
     separation_m: float = 0.0
     origin: tuple[float, float] | None = None  # of the plane, latitude and longitude, degrees; None: its home
+
+    def misplaced(self, home: Place, area: Area) -> str:
+        """Return why a home, (x, y) m, is not one to search from; empty if it is."""
+        nearest = [min(max(at, low), high) for at, low, high in zip(home, area.low, area.high, strict=True)]
+        beyond_m, most_m, (x, y) = math.dist(home, nearest), math.hypot(*area.size_m), home
+        if beyond_m > most_m:
+            return (
+                f"home is {beyond_m:.0f} m from the area, ({x:.0f}, {y:.0f}) m from its origin; wanted at "
+                f"most {most_m:.0f} m: is --home right?"
+            )
+        if other := self.crowded(home):
+            return (
+                f"home, ({x:.1f}, {y:.1f}) m from the area's origin, is not nearer by "
+                f"{self.separation_m:g} m (--separation) to its start ({self.start[0]:.1f}, {self.start[1]:.1f}) than to another's "
+                f"({other[0]:.1f}, {other[1]:.1f}): their ways could meet; move it, or choose another --from"
+            )
+        return ""
 
     def crowded(self, home: Place) -> Place | None:
         """Return a start of another to which a home is too near; None if there is none.

@@ -173,11 +173,20 @@ def script_for_vehicle(script: Script, args: argparse.Namespace) -> Script:
 
 
 def origin_of(args: argparse.Namespace, script: Script) -> tuple[float, float] | None:
-    """Return the latitude and longitude of the area's origin, degrees; None if no home has been chosen."""
-    chosen, usual = script.vehicle, VehiclePart()
+    """Return the latitude and longitude of the area's origin, degrees; None if no home has been chosen.
+
+    Raises BadInput if that of real vehicles is not the problem's.
+    """
+    chosen, usual, meant = script.vehicle, VehiclePart(), script.problem.home
     place = chosen.home_lat_deg, chosen.home_lon_deg
-    is_usual = "home" not in args.given and place == (usual.home_lat_deg, usual.home_lon_deg)
-    return None if is_usual else place
+    if "home" not in args.given and place == (usual.home_lat_deg, usual.home_lon_deg):
+        return meant
+    if args.vehicle and meant and meant != place:
+        raise BadInput(
+            f"--home: {place[0]:.7f},{place[1]:.7f} is not allowed with --vehicle; the problem's home is "
+            f"{meant[0]:.7f}, {meant[1]:.7f}"
+        )
+    return place
 
 
 def fleet_of(args: argparse.Namespace, script: Script) -> Fleet:

@@ -161,6 +161,7 @@ class Cockpit:
         launched: bool = False,
         speedup: float = 1.0,
         berth: Berth | None = None,
+        config: VehicleConfig | None = None,
         **settings: Any,
     ) -> None:
         settings = {"ready_s": 6.0, **settings}
@@ -171,7 +172,7 @@ class Cockpit:
         self.log = Log("uav", "test", Tally(), "warning")
         commander = Commander(self.radio, speedup, handling=Handling(self.log).of)
         self.vehicle = RemoteVehicle(
-            VehicleConfig(), commander, wait_s=wait_s, launched=launched, berth=berth
+            config or VehicleConfig(), commander, wait_s=wait_s, launched=launched, berth=berth
         )
         self.search = Search(self.vehicle, START, after_stop, lambda _, text: self.said.append(text))
         self.bus = OneEnd(Log("uav", "test", Tally(), "error"))

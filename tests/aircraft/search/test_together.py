@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aircraft.remote.preflight import farthest_m, misplaced
+from aircraft.remote.preflight import farthest_m
 from aircraft.search.together import Berth, Together
 from plume.problem import AREA
 
@@ -51,8 +51,8 @@ def test_homes_at_the_wrong_corners_are_not_allowed() -> None:
 
 def test_a_home_far_from_the_area_is_not_allowed() -> None:
     own = berth((2.0, 2.0), (28.0, 28.0))
-    assert misplaced(AREA, (-29.0, -29.0), own) == ""
-    said = misplaced(AREA, (-31.0, -31.0), own)
+    assert own.misplaced((-29.0, -29.0), AREA) == ""
+    said = own.misplaced((-31.0, -31.0), AREA)
     assert said.startswith("home is 44 m from the area, (-31, -31) m from its origin; wanted at most 42 m")
 
 
