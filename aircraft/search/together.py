@@ -29,10 +29,11 @@ class Berth(NamedTuple):
                 f"most {most_m:.0f} m: is --home right?"
             )
         if other := self.crowded(home):
+            own, others = (f"({each[0]:.1f}, {each[1]:.1f})" for each in (self.start, other))
             return (
                 f"home, ({x:.1f}, {y:.1f}) m from the area's origin, is not nearer by "
-                f"{self.separation_m:g} m (--separation) to its start ({self.start[0]:.1f}, {self.start[1]:.1f}) than to another's "
-                f"({other[0]:.1f}, {other[1]:.1f}): their ways could meet; move it, or choose another --from"
+                f"{self.separation_m:g} m (--separation) to its start {own} than to another's {others}: "
+                "their ways could meet; move it, or choose another --from"
             )
         return ""
 
