@@ -133,7 +133,7 @@ def test_a_vehicle_whose_budget_is_spent_is_sent_home_by_its_own_id_and_a_real_o
             *(Arrival(BELIEF, msgspec.json.encode(belief(step)), b"") for step in (0, 1)),
         )
         bus.land_at_s, bus.landed = 50.0, Arrival(HEALTH, landed, b"", name="uav")
-        real = RealVehicle(url=url) if url else None
+        real = RealVehicle(urls=[url]) if url else None
         watch(bus, monkeypatch, Launch(script=script, patience_s=PATIENCE_S, real=real)).until_the_end()
         orders = {
             (it.target_system, it.target_component, it.command)
