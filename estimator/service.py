@@ -7,7 +7,7 @@ import msgspec
 
 from estimator.admission import refusal
 from estimator.belief import belief, contributions, stop, warning
-from estimator.filter import Config, assimilate, prior
+from estimator.filter import Config, assimilate, forget, prior
 from estimator.gathering import Gathering
 from estimator.roll import OVERDUE_S, Roll
 from link.bus.keys import BELIEF, READING, STOP
@@ -30,7 +30,7 @@ def run(bus: Bus, config: Config, systems: Sequence[int | None], overdue_s: floa
     _begin(bus, config, roll)
     posterior = prior(config)
     summary, particles = None, b""
-    stopped = False
+    stopped, forgotten = False, frozenset[int]()
     while True:
         arrival, refused = roll.receive(), None
         if arrival is None:
@@ -53,6 +53,9 @@ def run(bus: Bus, config: Config, systems: Sequence[int | None], overdue_s: floa
                 known[own] = known[own] or split(arrival.payload)[0].system
         while taken := rounds.whole():
             began = time.perf_counter()
+            if (gone := roll.forgotten(rounds.number - 1)) != forgotten:
+                forgotten = gone
+                posterior = forget(posterior, forgotten, config)
             for each in taken:
                 posterior = assimilate(posterior, each, config)
             summary, array = belief(posterior, taken[-1], config)

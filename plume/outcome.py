@@ -89,6 +89,7 @@ class Left(msgspec.Struct, frozen=True):
     vehicle: int  # its number, from 1
     step: int  # the first round that it took no part in
     reason: str
+    forgotten: bool = False  # whether its readings from before do not count either
 
 
 class MeasuredBy(msgspec.Struct, frozen=True):
@@ -305,7 +306,8 @@ def vehicle_lines(result: Outcome) -> list[str]:
         most = "" if each.largest is None else f", at most {_short(each.largest, 2)}"
         lines.append(f"{f'uav/{each.vehicle}':<9}{count}{most}")
         if gone := left.get(each.vehicle):
-            lines.append(_cropped(f"{'':9}left at step {gone.step}: {gone.reason}"))
+            counts = ", its readings forgotten" if gone.forgotten and each.readings else ""
+            lines.append(_cropped(f"{'':9}left at step {gone.step}{counts}: {gone.reason}"))
     return lines
 
 

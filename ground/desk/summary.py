@@ -176,7 +176,7 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         "intermittency": last.intermittency,
         "advised_dwell_s": last.advised_dwell or None,
     }
-    left = [Left(each.vehicle, each.step, each.reason) for each in survey.left.values()]
+    left = [Left(each.vehicle, each.step, each.reason, each.forgotten) for each in survey.left.values()]
     if left:
         plain["left"] = msgspec.to_builtins(left)
     try:

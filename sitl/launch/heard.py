@@ -183,7 +183,7 @@ class MissionHeard:
     def departures(self) -> list[Left]:
         """Who has left the search, and whose process has ended in it."""
         said = {
-            number: Left(number, each.step, self.vehicles[number - 1].ended or each.reason)
+            number: Left(number, each.step, self.vehicles[number - 1].ended or each.reason, each.forgotten)
             for number, each in self.left.items()
         }
         ended = {

@@ -16,7 +16,17 @@ from plume.problems.fleet import ALONE, Fleet
 from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, Scenario
 from sitl.launch.watchdog import PATIENCE_S
-from sitl.script.script import AgentPart, Cut, EstimatorPart, Expectation, Kill, Lawnmower, Script, Waypoints
+from sitl.script.script import (
+    AgentPart,
+    Cut,
+    EstimatorPart,
+    Exclude,
+    Expectation,
+    Kill,
+    Lawnmower,
+    Script,
+    Waypoints,
+)
 from sitl.uav.options import at_own_home, longest_wait_s
 
 # Expectations that need the source's true position.
@@ -224,7 +234,12 @@ def check_fleet(script: Script, fleet: Fleet, given: Collection[str]) -> None:
     given: the flags that stand on the command line.
     """
     for number, event in enumerate(script.events):
-        if isinstance(event, OfVehicle) and event.vehicle and event.vehicle > fleet.vehicles:
+        if fleet.vehicles == 1 and isinstance(event, Exclude):
+            raise BadInput(
+                f"MISSION: events[{number}], leave-out, cannot happen: one vehicle flies; wanted "
+                "--vehicles, or fleet.vehicles, of 2 or more"
+            )
+        if isinstance(event, OfVehicle | Exclude) and event.vehicle and event.vehicle > fleet.vehicles:
             raise BadInput(
                 f"MISSION: events[{number}].vehicle: {event.vehicle} is not allowed; "
                 f"wanted 1 to {fleet.vehicles}, as many fly"
