@@ -104,13 +104,21 @@ def fit(posterior: Posterior, config: Config) -> float:
     its last reading is a recent one: its vehicle may have left.
     """
     ranks = posterior.ranks
+    if stuck(posterior, config):
+        return 0.0
+    return 1.0 if len(ranks) < FEWEST else float(uniformity_p_value(ranks[-RECENT:]))
+
+
+def stuck(posterior: Posterior, config: Config) -> Sequence[int]:
+    """Return the numbers of the vehicles whose sensor is stuck; 1 is that of one alone."""
+    found: list[int] = []
     for own in posterior.by_vehicle:
         last = posterior.readings[own, 5][-STUCK:]
-        if not isinstance(own, slice) and own[-1] < len(ranks) - RECENT:
+        if not isinstance(own, slice) and own[-1] < len(posterior.ranks) - RECENT:
             continue
         if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
-            return 0.0
-    return 1.0 if len(ranks) < FEWEST else float(uniformity_p_value(ranks[-RECENT:]))
+            found.append(1 if posterior.vehicles is None else int(posterior.vehicles[own][-1]))
+    return found
 
 
 def evidence(posterior: Posterior, config: Config) -> float:
@@ -160,6 +168,12 @@ def warning(said: Belief, config: Config) -> tuple[str, str] | None:
     A belief that is not narrow yet gives no warning for want of evidence: most searches begin so.
     """
     narrow_m = config.within[0] if config.within else config.threshold_m
+    if said.doubted:
+        whose = " and ".join(f"uav/{vehicle}" for vehicle in said.doubted)
+        return (
+            f"the readings of {whose} do not fit those of the others",
+            "is the sensor stuck, dead or wrong?",
+        )
     if said.p_value < INCOMPATIBLE:
         return (
             f"the readings do not fit the model (p = {said.p_value:.1g} over the last {RECENT})",

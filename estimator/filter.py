@@ -249,13 +249,13 @@ def forget(posterior: Posterior, vehicles: Collection[int], config: Config) -> P
 
     It is computed anew from the prior, with the readings that are left in their order.
     """
-    took = np.ones(len(posterior.readings), np.int64) if posterior.vehicles is None else posterior.vehicles
+    took = _whose(posterior)
     kept = np.flatnonzero(~np.isin(took, list(vehicles)))
     again = prior(config)
     for count, own in enumerate(kept.tolist(), 1):
         row = posterior.readings[own].copy()
         row[6] = 1.0  # its share
-        again = _with(again, row, took[kept[:count]], config)
+        again = with_row(again, row, config, took[kept[:count]])
     return again
 
 
@@ -280,14 +280,22 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
     """
     vehicles = posterior.vehicles
     if vehicles is not None or reading.vehicle != 1:
-        earlier = np.ones(len(posterior.readings), np.int64) if vehicles is None else vehicles
-        vehicles = np.append(earlier, reading.vehicle)
-    own = posterior.readings if vehicles is None else posterior.readings[vehicles[:-1] == reading.vehicle]
-    before = own[-1] if len(own) else None  # an instrument follows its own readings only
-    return _with(posterior, config.row(reading, before), vehicles, config)
+        vehicles = np.append(_whose(posterior), reading.vehicle)
+    return with_row(posterior, row_of(posterior, reading, config), config, vehicles)
 
 
-def _with(posterior: Posterior, row: Array, vehicles: Indices | None, config: Config) -> Posterior:
+def row_of(posterior: Posterior, reading: Reading, config: Config) -> Array:
+    """Return the next reading as the kernels take it: an instrument follows those of its own vehicle."""
+    own = posterior.readings[_whose(posterior) == reading.vehicle]
+    return config.row(reading, own[-1] if len(own) else None)
+
+
+def _whose(posterior: Posterior) -> Indices:
+    """Return which vehicle took each reading, (T,)."""
+    return np.ones(len(posterior.readings), np.int64) if posterior.vehicles is None else posterior.vehicles
+
+
+def with_row(posterior: Posterior, row: Array, config: Config, vehicles: Indices | None = None) -> Posterior:
     """Return the posterior after one more reading, as the kernels take it, and who has taken them all."""
     sample = WeightedSample(*(array.copy() for array in posterior.sample))
     readings = np.vstack([posterior.readings, row])

@@ -158,11 +158,13 @@ class Roll:
         return bool(leaving)
 
     def _leave_out(self, arrival: Arrival) -> bool:
-        """Let a vehicle leave as an operator orders; returns whether it does. From the next round on."""
+        """Let a vehicle leave as an operator orders; returns whether it does."""
         order = self._bus.decode(arrival, LeaveOut)
-        if order is None:
-            return False
-        number, left = order.vehicle, self._rounds.left()
+        return order is not None and self.leave_out(order.vehicle, order.reason)
+
+    def leave_out(self, number: int, reason: str) -> bool:
+        """Let a vehicle leave from the next round on, its readings forgotten; returns whether it does."""
+        left = self._rounds.left()
         if any(number == each.vehicle for each in self.left):
             return False  # an estimator that starts again hears the order again
         why = f"uav/{number} is none of the {len(self._systems)} vehicles" if number not in left else ""
@@ -172,8 +174,7 @@ class Roll:
         if why:
             self._bus.refuse(LEAVE_OUT, why, "order")
             return False
-        step = self._rounds.number
-        self._part(Departure(number, step, order.reason, forgotten=step > 0))
+        self._part(Departure(number, self._rounds.number, reason, forgotten=self._rounds.number > 0))
         return True
 
     def _part(self, said: Departure) -> None:

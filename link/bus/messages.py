@@ -151,6 +151,13 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "part in it, in their order; absent with one vehicle"
         ),
     ] = msgspec.UNSET
+    doubted: Annotated[
+        tuple[int, ...] | msgspec.UnsetType,
+        Meta(
+            description="of a search by several vehicles: the numbers of those whose readings do not fit the "
+            "others', or whose sensor is stuck; absent if there are none"
+        ),
+    ] = msgspec.UNSET
 
 
 class Contribution(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

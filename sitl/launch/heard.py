@@ -143,6 +143,7 @@ class MissionHeard:
         self.left: dict[
             int, Departure
         ] = {}  # who has left the search, by number, in the order in which they did
+        self.doubted: dict[int, int] = {}  # the step at which a vehicle was named whose sensor seemed to lie
 
     def take(self, arrival: Arrival, now_s: float) -> Belief | Health | Departure | None:
         """Take a message.
@@ -242,6 +243,8 @@ class MissionHeard:
             return None
         if not all([self.vehicles[number - 1].trace.belief(said) for number, said in seen.items()]):
             return None
+        for number in belief.doubted or ():
+            self.doubted[number] = min(belief.step, self.doubted.get(number, belief.step))
         if self.last:
             if belief.step < self.last.step:
                 return None  # it was missed, and comes late

@@ -384,9 +384,7 @@ class MissionWatch:
         """Whether the search goes on without a part that has ended: one of several."""
         others = [each for each in self._heard.searching if each.flies and each.part != ended.part]
         return (
-            ended.part in self._mission.uavs
-            and ended.status not in (INTERRUPTED, BAD_INPUT)
-            and bool(others)
+            ended.part in self._mission.uavs and ended.status not in (INTERRUPTED, BAD_INPUT) and bool(others)
         )
 
     def _wait_on_the_ground(self) -> bool:
@@ -501,6 +499,7 @@ class MissionWatch:
             last_word=heard.last_word(last),
             home=heard.home if self._mission.real else self._mission.home,
             left=heard.departures,
+            doubted=heard.doubted,
         )
         located = bool(result.located)
         came_true = {

@@ -178,6 +178,7 @@ def estimator_arguments(mission: Launch) -> list[str]:
         "--sysid": mission.system,
         "--vehicles": mission.fleet.vehicles if mission.numbers else None,
         "--overdue": _overdue_s(mission) if mission.numbers else None,
+        "--doubted": part.doubted if mission.numbers else None,
         "--prior": [f"{name}={prior}" if prior else name for name, prior in part.prior.items()],
     }
     return _words(flags)

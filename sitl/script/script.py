@@ -170,6 +170,10 @@ class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     rate: Annotated[
         Rate | None, _says("q", "release rate assumed by the estimator, by default the scenario's", "g/s")
     ] = None
+    doubted: Annotated[
+        Literal["name", "leave-out"],
+        Meta(description="what happens to a vehicle whose sensor seems to lie, as --doubted"),
+    ] = "name"
     diffusivity: Annotated[
         Diffusivity | None,
         _says("d", "diffusivity assumed by the estimator, by default the scenario's", "m²/s"),

@@ -262,7 +262,9 @@ def test_a_reading_of_who_is_left_out_that_waits_for_its_round_is_in_no_belief()
 
 
 @pytest.mark.parametrize("vehicle", [1, 2, 3])
-def test_an_estimator_that_starts_again_says_the_same_of_a_search_that_one_was_left_out_of(vehicle: int) -> None:
+def test_an_estimator_that_starts_again_says_the_same_of_a_search_that_one_was_left_out_of(
+    vehicle: int,
+) -> None:
     bus = estimated(3, *OF_THREE[:8], left_out(vehicle), *OF_THREE[8:])
     message, frames = next(said for key, *said in bus.published if key is DEPARTURE)
     told = Arrival(DEPARTURE, message, frames, name="departure")
