@@ -4,8 +4,8 @@ For each vehicle two explanations of all readings are compared. One is the searc
 same plume. In the other the vehicle's sensor reads it with a gain of its own, or hums at a value of its own,
 and only the others' readings say where the source is. How many times more probable the readings are by the
 second is known after each round. If the sensor is sound it exceeds R in one search of R at most, whenever
-one looks (Ville 1939): with ODDS for each vehicle, one search of ODDS names a sound one. Densities of readings
-are those before they are assimilated, estimated by particles: this holds but for the error of the particles.
+one looks (Ville 1939): with ODDS for each vehicle, one search of ODDS names a sound one. Densities of
+readings are those before they are assimilated, estimated by particles: it holds but for the particles' error.
 
 - Bennett 1976: Efficient estimation of free energy differences from Monte Carlo data, J. Comput. Phys. 22.
 - Ville 1939: Étude critique de la notion de collectif.

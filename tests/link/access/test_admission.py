@@ -50,6 +50,7 @@ RIGHTS = {  # by hand: who publishes, and who receives beside operators and obse
     "belief": ({"estimator"}, {"agent", "vehicle", "ros2"}),
     "agdc/stop": ({"estimator"}, {"vehicle", "agent", "payload", "bridge", "ros2"}),
     "departure": ({"estimator", "vehicle"}, {"estimator", "vehicle"}),
+    "leave-out": ({"operator"}, {"estimator"}),
     "health/estimator": ({"estimator"}, set(EVERYBODY)),
     "health/uav": ({"vehicle"}, set(EVERYBODY)),
     "payload/in": ({"vehicle"}, {"payload"}),
