@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from plume.problem import AREA, Area
+from plume.problem import AREA, CLEARANCE_M, Area, Fenced
 
 # (north, east, down): position in m from home, velocity in m/s or acceleration in m/s². Down grows towards
 # the ground.
@@ -34,6 +34,8 @@ class AircraftConfig:
     """Where an aircraft may fly, and how long it may be left without a waypoint."""
 
     area: Area = AREA  # where it searches: x east, y north, m from home
+    # Latitude and longitude from which the area is meant, degrees; None: from wherever home is.
+    home_meant: tuple[float, float] | None = None
     ceiling_m: float = 120.0  # highest altitude above home
     takeoff_altitude_m: float = 5.0
     # Time without a setpoint after which OFFBOARD fails safe: return in the air, disarm on the ground
@@ -59,6 +61,11 @@ class AircraftConfig:
         if not 0.0 <= -down <= self.ceiling_m:
             return "outside the altitudes", f"altitude {metres(-down)} m is outside [0, {self.ceiling_m:g}] m"
         return None
+
+    @property
+    def home_within_m(self) -> float:
+        """How far from `home_meant` home may be: no further than ways stay from polygons."""
+        return self.area.clearance_m if isinstance(self.area, Fenced) else CLEARANCE_M
 
     def in_the_way(self, start: Ned, end: Ned) -> tuple[str, str] | None:
         """Return why the straight way between positions is not to be flown: kind and reason.

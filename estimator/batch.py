@@ -46,7 +46,8 @@ class Batch:
             np.empty((count, *first.prior_rows.shape)),
             np.empty((count, len(first.model.sensor))),
             np.empty((count, 1)),
-            np.zeros((count, 0, 4)),
+            np.zeros((count, 0, 5)),
+            np.zeros((count, 1)),
         )
         self._seeds = np.empty(count, np.uint64)
         self._readings, self._ranks = np.empty((count, 64, first.columns)), np.empty((count, 64))
@@ -66,20 +67,20 @@ class Batch:
             )
         for stacked, array in zip(self._samples, prior(config).sample, strict=True):
             stacked[mission] = array
-        self._make_room(len(config.walls))
-        *arrays, walls = config.model[1:]
-        for stacked, array in zip(self._models[1:-1], arrays, strict=True):
-            stacked[mission] = array
-        self._models.walls[mission] = 0.0  # a side from a place to itself encloses nothing
-        self._models.walls[mission, : len(walls)] = walls
+        self._make_room(len(config.walls), len(config.densities))
+        for stacked, array in zip(self._models[1:], config.model[1:], strict=True):
+            stacked[mission] = 0.0  # a side from a place to itself encloses nothing
+            stacked[mission, : len(array)] = array
         self.counts[mission], self._seeds[mission], self._configs[mission] = 0, config.seed, config
 
-    def _make_room(self, sides: int) -> None:
-        """Let the models have at least so many sides of walls."""
-        more = sides - self._models.walls.shape[1]
-        if more > 0:
-            walls = np.pad(self._models.walls, ((0, 0), (0, more), (0, 0)))
-            self._models = self._models._replace(walls=walls)
+    def _make_room(self, sides: int, densities: int) -> None:
+        """Let the models have at least so many sides of polygons, and densities in them."""
+        models = self._models
+        if (more := sides - models.walls.shape[1]) > 0:
+            models = models._replace(walls=np.pad(models.walls, ((0, 0), (0, more), (0, 0))))
+        if (more := densities - models.densities.shape[1]) > 0:
+            models = models._replace(densities=np.pad(models.densities, ((0, 0), (0, more))))
+        self._models = models
 
     def assimilate(self, readings: Array, missions: Indices | None = None) -> None:
         """Assimilate one reading for each of these missions (M,), by default all.

@@ -19,7 +19,8 @@ from link.bus.mavlink import Reading
 from plume.elementary import Array, Indices
 from plume.flight import leg_s
 from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS, PUFF_RATE
-from plume.problem import AREA, Area, Fenced, PolygonArea
+from plume.polygons.parts import numbered_sides
+from plume.problem import AREA, Area, Fenced, PriorParts
 from plume.randomness import keyed
 from plume.scenario import LIFETIME_S
 from plume.sensors.instruments import Instrument
@@ -128,20 +129,32 @@ class Config:
     def model(self) -> Model:
         """Unknowns, priors and sensor as the kernels take them."""
         spikes = np.array([self.spikes])
-        return Model(self.unknown_indices, self.prior_rows, sensor_row(self.sensor), spikes, self.walls)
+        sensor = sensor_row(self.sensor)
+        return Model(self.unknown_indices, self.prior_rows, sensor, spikes, self.walls, self.densities)
 
     @cached_property
     def walls(self) -> Array:
-        """The sides (W, 4) of polygons in which no source is: x and y of both ends, counter-clockwise.
+        """The sides (W, 5) of polygons: x and y of both ends, and the polygon's number in `densities`.
 
-        Where the source is expected in a polygon, all around it is one more.
+        Number 0 are all those in which no source is. They run counter-clockwise.
         """
-        ground, sides = self.area, [np.empty((0, 2, 2))]
+        ground, sides = self.area, [np.empty((0, 5))]
         if isinstance(ground, Fenced) and not ground.source_inside:
-            sides.append(ground.obstacles.walls)
-        if isinstance(self.expected, PolygonArea) and not {"x", "y"} & set(self.priors):
-            sides.append(self.expected.around)
-        return np.ascontiguousarray(np.concatenate(sides).reshape(-1, 4))
+            sides.append(np.pad(ground.obstacles.walls.reshape(-1, 4), ((0, 0), (0, 1))))
+        if self.parts:
+            sides.append(numbered_sides(self.parts.polygons))
+        return np.concatenate(sides)
+
+    @cached_property
+    def parts(self) -> PriorParts | None:
+        """The polygons in which alone the source is expected; None: there are none."""
+        parts = self.expected
+        return parts if isinstance(parts, PriorParts) and not {"x", "y"} & set(self.priors) else None
+
+    @property
+    def densities(self) -> Array:
+        """The prior's density outside of all its parts, then in each, up to a constant."""
+        return np.concatenate([[0.0], self.parts.densities]) if self.parts else np.ones(1)
 
     @cached_property
     def sensor_text(self) -> str:
@@ -237,7 +250,8 @@ def prior(config: Config) -> Posterior:
     """
     count = config.particles
     rows, unknowns, rng = config.prior_rows, config.unknown_indices, keyed(config.seed, "prior")
-    particles = draw(rows, unknowns, count, rng, config.walls)
+    forbidden = config.walls[config.walls[:, 4] == 0, :4]
+    particles = draw(rows, unknowns, count, rng, forbidden, config.parts)
     log_targets = log_priors(particles, config.model)
     return Posterior(
         particles, np.zeros(count), np.ones(count), log_targets, np.empty((0, config.columns)), np.empty(0)

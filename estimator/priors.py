@@ -22,8 +22,9 @@ from plume.parameters import (
     X,
     Y,
 )
+from plume.polygons.parts import area_of, counts
 from plume.polygons.polygons import enclosed
-from plume.problem import Area
+from plume.problem import Area, PriorParts
 from plume.randomness import standard_gamma, standard_normal
 
 SMALLEST = 1e-6  # lower bound of a positive parameter under every prior, so that it stays above 0
@@ -177,22 +178,51 @@ def table(
 
 
 def draw(
-    rows: Array, unknowns: Indices, count: int, rng: np.random.Generator, walls: Array = NO_WALLS
+    rows: Array,
+    unknowns: Indices,
+    count: int,
+    rng: np.random.Generator,
+    walls: Array = NO_WALLS,
+    parts: PriorParts | None = None,
 ) -> Array:
-    """Draw particles (D, count) from the priors, all outside polygons with these sides, `Config.walls`.
+    """Draw particles (D, count) from the priors, those of the place from `parts` if there are any.
 
+    All are outside polygons with these sides, (W, 4).
     Raises ValueError if a prior hardly ever gives a value that its parameter can have.
     """
-    if not len(walls):
+    if not (len(walls) or parts):
         return _drawn(rows, unknowns, count, rng)
     free: list[Array] = []
     for _ in range(MOST_DRAWS):
         # Draws that are kept are the first ones of a lattice, which are as even as all of it.
-        drawn = _drawn(rows, unknowns, count, rng)
-        free.append(drawn[:, ~enclosed(_places(rows, unknowns, drawn), walls.reshape(-1, 2, 2))])
-        if sum(each.shape[1] for each in free) >= count:
-            return np.ascontiguousarray(np.concatenate(free, axis=1)[:, :count])
+        for drawn in (
+            _drawn_of_parts(rows, unknowns, count, rng, parts)
+            if parts
+            else [_drawn(rows, unknowns, count, rng)]
+        ):
+            outside = ~enclosed(_places(rows, unknowns, drawn), walls.reshape(-1, 2, 2))
+            free.append(drawn[:, outside])
+        if (found := sum(each.shape[1] for each in free)) >= count:
+            # Those of parts stand one after the other: each has to lose its share.
+            kept = np.arange(count) * found // count if parts and len(parts.parts) > 1 else np.arange(count)
+            return np.ascontiguousarray(np.concatenate(free, axis=1)[:, kept])
     raise ValueError("prior: nearly no place where the source is expected is in it, and outside keep_out")
+
+
+def _drawn_of_parts(
+    rows: Array, unknowns: Indices, count: int, rng: np.random.Generator, parts: PriorParts
+) -> list[Array]:
+    """Draw particles from the priors, places in each part by its weight: (D, at most count) together."""
+    each = [PriorParts.of(part) for part in parts.parts]
+    boxes = np.array([part.size_m[0] * part.size_m[1] for part in each])
+    tried = parts.shares * boxes / [area_of(*part.polygons) for part in each]  # draws of its rectangle
+    result = []
+    for part, tries in zip(each, counts(tried / tried.sum(), count), strict=True):
+        own = rows.copy()
+        own[[X, Y], 1:] = [(low, high, low, high) for low, high in zip(part.low, part.high, strict=True)]
+        drawn = _drawn(own, unknowns, tries, rng)
+        result.append(drawn[:, part.held(_places(own, unknowns, drawn))])
+    return result
 
 
 def _places(rows: Array, unknowns: Indices, particles: Array) -> Array:

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from plume.elementary import Array
 from plume.parameters import LIMITS
 from plume.polygons.obstacles import Obstacles
-from plume.polygons.polygons import crosses_itself, enclosed, outline, sides_of
+from plume.polygons.parts import area_of, held, octagon
+from plume.polygons.polygons import crosses_itself, outline
 from plume.randomness import keyed, uniform
 from plume.scenario import (
     AREA_M,
@@ -45,6 +46,9 @@ CLEARANCE_M = (
 )
 WIDEST_CLEARANCE_M = 1000.0
 MOST_POLYGONS, MOST_CORNERS = 50, 200  # MOST_CORNERS of all polygons together
+PLACE_RADIUS_M = 2.0  # how far from a place where it is expected a source may be
+LEAST_WEIGHT, MOST_WEIGHT = 1e-6, 1e6
+THINNEST = 0.001  # least share of the rectangle around a polygon that it fills, if the source may be in it
 MOST_DRAWS = 100_000  # most draws of a place until one is allowed
 STOP = re.compile(r"spread:[^,]+|within:[^,]+,[^,]+")  # the form of --stop; `estimator.criterion` reads it
 
@@ -52,6 +56,7 @@ Coordinate = Annotated[
     float, Meta(ge=-FARTHEST_M, le=FARTHEST_M, description="a number from -100000 to 100000, m")
 ]
 Place = tuple[Coordinate, Coordinate]
+Degrees = Annotated[float, Meta(ge=-180, le=180, description="a number, degrees")]
 Corners = Annotated[tuple[Place, ...], Meta(min_length=3, max_length=MOST_CORNERS)]
 Number = Annotated[float, Meta(description="a number")]
 Span = Number | tuple[Number, Number]  # a value, or the least and the greatest of a uniform distribution
@@ -143,33 +148,106 @@ class Fenced(Area, frozen=True, forbid_unknown_fields=True, kw_only=True):
         return _obstacles(self)
 
 
-class PolygonArea(Area, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A polygon, and the rectangle around it. It holds what is in the polygon."""
+class PriorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Where the source is expected, in part: in a polygon, or about a place.
 
-    corners: Corners
+    Raises ValueError, one line, if it is neither or both.
+
+    Examples:
+        >>> one = plumeward.PriorPart(place=(8, 20), weight=3)
+        >>> valves = [one, plumeward.PriorPart(place=(24, 11), weight=1)]
+        >>> plumeward.Problem(prior=valves).expected.text
+        '2 parts in [6, 26] x [9, 22] m'
+    """
+
+    corners: Annotated[Corners | None, Meta(description="a polygon: its corners in order, (x, y) m")] = None
+    place: Annotated[Place | None, Meta(description="or a place, (x, y) m")] = None
+    radius_m: Annotated[
+        float, Meta(description="how far from the place it may be, a number above 0 up to 1000, m")
+    ] = PLACE_RADIUS_M
+    weight: Annotated[
+        float | None,
+        Meta(
+            description="how likely it is there, relative to the other parts, a number above 0 up to "
+            f"{MOST_WEIGHT:g}; default: if no part has one, all are equally likely everywhere in them"
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        if (self.corners is None) == (self.place is None):
+            raise ValueError("a part of a prior has either corners or a place")
+        if self.corners is not None:
+            msgspec.structs.force_setattr(self, "corners", tuple(map(tuple, self.corners)))
+        if not 0.0 < self.radius_m <= WIDEST_CLEARANCE_M:
+            raise ValueError(
+                f"radius_m: {self.radius_m!r} is not allowed; wanted above 0 up to {WIDEST_CLEARANCE_M:g} m"
+            )
+        if self.weight is not None and not LEAST_WEIGHT <= self.weight <= MOST_WEIGHT:
+            raise ValueError(
+                f"weight: {self.weight!r} is not allowed; wanted {LEAST_WEIGHT:g} to {MOST_WEIGHT:g}"
+            )
+
+    @property
+    def polygon(self) -> Corners:
+        """Its corners; of a place those of the octagon around it."""
+        return octagon(self.place, self.radius_m) if self.place else self.corners or ()
+
+
+class PriorParts(Area, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Polygons and places where the source is expected, and the rectangle around them.
+
+    It holds what is in them.
+    """
+
+    parts: tuple[PriorPart, ...]
 
     @classmethod
-    def of(cls, corners: Corners) -> "PolygonArea":
-        """Return the polygon with these corners."""
-        (west, south), (east, north) = (
-            map(min, zip(*corners, strict=True)),
-            map(max, zip(*corners, strict=True)),
-        )
-        return cls((west, south), (east, north), corners=corners)
+    def of(cls, *parts: PriorPart) -> "PriorParts":
+        """Return them together."""
+        ends = zip(*(corner for part in parts for corner in part.polygon), strict=True)
+        (west, east), (south, north) = ((min(along), max(along)) for along in ends)
+        return cls((west, south), (east, north), parts=parts)
 
     @property
     def text(self) -> str:
         """In words."""
-        return f"the polygon of {len(outline(self.corners))} corners in {Area(self.low, self.high).text}"
+        around = Area(self.low, self.high).text
+        if len(self.parts) == 1 and (corners := self.parts[0].corners):
+            return f"the polygon of {len(outline(corners))} corners in {around}"
+        return f"{len(self.parts)} part{'s' * (len(self.parts) > 1)} in {around}"
 
     @property
-    def around(self) -> Array:
-        """The sides (S, 2, 2) m of all that is not in it: those of a rectangle, and clockwise its own."""
-        (west, south), (east, north) = self.low, self.high
-        off_m = self.side_m
-        west, south, east, north = west - off_m, south - off_m, east + off_m, north + off_m
-        rectangle = sides_of([(west, south), (east, south), (east, north), (west, north)])
-        return np.concatenate([rectangle, sides_of(self.corners, clockwise=True)])
+    def polygons(self) -> list[Corners]:
+        """The corners of each part."""
+        return [part.polygon for part in self.parts]
+
+    @property
+    def shares(self) -> Array:
+        """How likely the source is in each part, (P,). They add up to 1."""
+        weights = np.array([part.weight or area_of(part.polygon) for part in self.parts])
+        return np.asarray(weights / weights.sum())
+
+    @property
+    def densities(self) -> Array:
+        """The prior's density in each part, as a share of the greatest, (P,). Those that overlap add up."""
+        densities = self.shares / [area_of(polygon) for polygon in self.polygons]
+        return np.asarray(densities / densities.max())
+
+    def drawn(self, rng: np.random.Generator, first: Place | None = None) -> Place:
+        """Draw a place from the parts by their weights.
+
+        first: of one part, what stands for the first draw.
+        """
+        polygon = self
+        if len(self.parts) > 1:
+            part = int(np.searchsorted(np.cumsum(self.shares)[:-1], rng.random(), side="right"))
+            polygon, first = PriorParts.of(self.parts[part]), None
+        place = first or _uniform(rng, polygon)
+        for _ in range(MOST_DRAWS):
+            if polygon.holds(place):
+                break
+            place = _uniform(rng, polygon)
+        return place
 
     def holds(self, place: Sequence[float]) -> bool:
         """Whether a place, (x, y) m, is inside. NaN is not."""
@@ -177,7 +255,7 @@ class PolygonArea(Area, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     def held(self, places: Array) -> NDArray[np.bool_]:
         """Return which of these places (..., 2) m are inside: (...)."""
-        return enclosed(places, sides_of(self.corners))
+        return held(places, self.polygons)
 
 
 @lru_cache(64)
@@ -208,6 +286,13 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """
 
     area: Annotated[Area, Meta(description="where the search flies")] = AREA
+    home: Annotated[
+        tuple[Degrees, Degrees] | None,
+        Meta(
+            description="latitude and longitude of home, from which all metres count, degrees; a real "
+            "vehicle takes off nowhere else; default: wherever the vehicle takes off"
+        ),
+    ] = None
     altitude_m: Annotated[
         float, Meta(description="height of the search above home, a number above 0 up to 120, m")
     ] = ALTITUDE_M
@@ -250,10 +335,10 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         bool, Meta(description="whether the source may be inside a polygon of keep_out: true or false")
     ] = False
     prior: Annotated[
-        Area | Corners | None,
+        Area | tuple[Place | PriorPart, ...] | None,
         Meta(
-            description="where the estimator expects the source: a rectangle in the area, or a polygon, its "
-            "corners in order, (x, y) m; default: the area"
+            description="where the estimator expects the source: a rectangle in the area; or a polygon, its "
+            "corners in order, (x, y) m; or a list of parts; default: the area"
         ),
     ] = None
     source: Annotated[
@@ -285,8 +370,12 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         if self.keep_in:
             msgspec.structs.force_setattr(self, "keep_in", tuple(map(tuple, self.keep_in)))
         if self.prior is not None and not isinstance(self.prior, Area):
-            msgspec.structs.force_setattr(self, "prior", tuple(map(tuple, self.prior)))
-            _check_polygons({"prior": self.prior})
+            msgspec.structs.force_setattr(self, "prior", _sound_prior(self.prior))
+        if self.home and not (abs(self.home[0]) <= 90 and abs(self.home[1]) <= 180):
+            raise ValueError(
+                f"home: {_listed(self.home)} is not allowed; wanted latitude, -90 to 90, and longitude, "
+                "-180 to 180"
+            )
         width_m = min(self.area.size_m)
         if not width_m >= SHORTEST_M:
             raise ValueError(
@@ -321,7 +410,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
                 )
         for name, place in (("start", self.start), ("prior", self.support)):
             if place is not None and not all(map(self.area.holds, _ends(place))):
-                what = "a place or a rectangle" if name == "start" else "a rectangle or a polygon"
+                what = "a place or a rectangle" if name == "start" else "a rectangle, a polygon or parts"
                 raise ValueError(
                     f"{name}: {_said(place)} is not allowed; wanted {what} in the area, {self.area.text}"
                 )
@@ -367,9 +456,10 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     @property
     def support(self) -> Area | None:
         """The part of the area in which alone the estimator expects the source; None: there is none."""
-        return (
-            self.prior if self.prior is None or isinstance(self.prior, Area) else PolygonArea.of(self.prior)
-        )
+        if self.prior is None or isinstance(self.prior, Area):
+            return self.prior
+        parts = [part for part in self.prior if isinstance(part, PriorPart)]
+        return PriorParts.of(*(parts or [PriorPart(corners=self.prior)]))  # type: ignore[arg-type]  # either all or none
 
     @property
     def expected(self) -> Area:
@@ -433,10 +523,12 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         """
         sources, obstacles = self.sources, self.ground.obstacles
         rng = keyed(seed, "source again")
+        if isinstance(sources, PriorParts):
+            source = sources.drawn(rng, source)
         for _ in range(MOST_DRAWS):
-            if self.may_leak(source) and not (isinstance(sources, PolygonArea) and not sources.holds(source)):
+            if self.may_leak(source):
                 break
-            source = _uniform(rng, sources)
+            source = sources.drawn(rng) if isinstance(sources, PriorParts) else _uniform(rng, sources)
         rng = keyed(seed, "start again")
         for _ in range(MOST_DRAWS):
             if obstacles is None or obstacles.may_begin(np.array(start, np.float32).astype(np.float64)):
@@ -454,7 +546,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return msgspec.structs.replace(self, **changes)
 
 
-def in_area(area: Area, prior: Area | Corners | None = None) -> Problem:
+def in_area(area: Area, prior: Area | tuple[Place | PriorPart, ...] | None = None) -> Problem:
     """Return the paper's problem in another area, with a step that fits. Raises ValueError."""
     return Problem(area=area, prior=prior, step_m=min(STEP_M, min(area.size_m) / PARTS))
 
@@ -487,6 +579,26 @@ def _check_ways(ground: Fenced, starts: Area | Place, expected: Area, sources: A
         )
 
 
+def _sound_prior(prior: Sequence[Place | PriorPart]) -> tuple[Place | PriorPart, ...]:
+    """Return a prior that is a list as a tuple. Raises ValueError if it is neither a polygon nor parts."""
+    parts = [part for part in prior if isinstance(part, PriorPart)]
+    if not parts and not any(isinstance(part, Mapping) for part in prior):
+        corners: Corners = tuple(map(tuple, prior))  # type: ignore[arg-type]
+        _check_polygons({"prior": corners})
+        _check_thickness({"prior": corners})
+        return corners
+    if len(parts) < len(prior):
+        raise ValueError(
+            "prior: wanted either the corners of one polygon or parts, each with corners or a place"
+        )
+    polygons = {f"prior[{number}]": part.polygon for number, part in enumerate(parts)}
+    _check_polygons(polygons)
+    _check_thickness(polygons)
+    if len({part.weight is None for part in parts}) > 1:
+        raise ValueError("prior: wanted a weight for each part, or for none")
+    return tuple(parts)
+
+
 def _check_polygons(polygons: Mapping[str, Corners]) -> None:
     """Raise ValueError, which names the field, if a polygon is none or there are too many corners."""
     if sum(map(len, polygons.values())) > MOST_CORNERS:
@@ -509,6 +621,17 @@ def _check_polygons(polygons: Mapping[str, Corners]) -> None:
             raise ValueError(f"{name}: its sides {sides} meet; wanted the corners in order around it")
 
 
+def _check_thickness(polygons: Mapping[str, Corners]) -> None:
+    """Raise ValueError, which names the field, if a polygon is so thin that hardly a draw would be in it."""
+    for name, polygon in polygons.items():
+        width_m, height_m = PriorParts.of(PriorPart(corners=polygon)).size_m
+        if not area_of(polygon) >= THINNEST * width_m * height_m:
+            raise ValueError(
+                f"{name}: the polygon is too thin; wanted one that fills at least {THINNEST:g} of the "
+                "rectangle around it"
+            )
+
+
 def _grid(place: Area | Place, count: int) -> Array:
     """Return the middles of count x count cells of a rectangle, or the place itself: (N, 2).
 
@@ -520,7 +643,9 @@ def _grid(place: Area | Place, count: int) -> Array:
     (x, y), (width_m, height_m) = place.low, place.size_m
     cells = np.array([(x + east * width_m, y + north * height_m) for east in shares for north in shares])
     return (
-        np.concatenate([cells[place.held(cells)], place.corners]) if isinstance(place, PolygonArea) else cells
+        np.concatenate([cells[place.held(cells)], *place.polygons])
+        if isinstance(place, PriorParts)
+        else cells
     )
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from link.record.reader import Recording
     from link.record.reader import read as read_record
     from plume.outcome import Outcome, TracePoint
-    from plume.problem import Area, Problem
+    from plume.problem import Area, PriorPart, Problem
     from plume.scenario import Scenario, draw
     from plume.worlds.world import World
     from plumeward.evaluation import evaluate
@@ -44,6 +44,7 @@ WHERE = {
     "policies": "agent.policies",
     "Problem": "plume.problem",
     "Area": "plume.problem",
+    "PriorPart": "plume.problem",
     "Scenario": "plume.scenario",
     "draw": "plume.scenario",
     "World": "plume.worlds.world",
@@ -69,6 +70,7 @@ __all__ = [
     "Config",
     "Outcome",
     "Posterior",
+    "PriorPart",
     "Problem",
     "Reading",
     "Recording",

@@ -5,6 +5,7 @@ every run.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -116,10 +117,86 @@ def _reweight(
             sums[2 + f] += total_of(products)
 
 
+class Predictor(NamedTuple):
+    """What is reweighted, and by which sensor."""
+
+    weights: Array  # (N,), sum one
+    imagined: Indices  # (K,) the particles from which the readings were drawn
+    sensor: Array  # (5,) as of `plume.sensors.names.sensor_row`
+    noises: (
+        Array  # (2, N) each particle's factor on the sensor's noise, and its intermittency (cv) of the gas
+    )
+
+
+class Scratch(NamedTuple):
+    """Arrays to compute in."""
+
+    exponents: Array  # (5, N): the coefficients of a log-likelihood, those of a silent sensor, and one offset
+    zeros: Array  # (N,)
+    buffers: Array  # (3, BLOCK)
+    sums: Array  # (2 + F,)
+
+
+@subroutine
+def _read(
+    means: Array,
+    readings: Array,
+    values: Array,
+    predictor: Predictor,
+    scratch: Scratch,
+    earlier: Array,
+    totals: Array,
+    later: Array,
+    later_totals: Array,
+    said: Array,
+    expected: Array,
+) -> None:
+    """Reweight a belief by K hypothetical readings at a place, each after those taken earlier.
+
+    means: (N,).  readings: (K,).  values: (F, N).
+    earlier, totals: (K, N) log-likelihoods of the earlier readings, relative to `totals` (K,); empty, if
+    there are none.  later, later_totals: where to put those with this reading; empty, if nowhere. They may be
+    the same arrays.
+    said: (2, K) where to put the log predictive density and the expected log-likelihood of all readings.
+    expected: (K, F).
+    """
+    rows = scratch.exponents
+    quadratic, linear, constant, silent, offset = rows[0], rows[1], rows[2], rows[3], rows[4]
+    weights, imagined, sensor, noises = predictor
+    sums, count = scratch.sums, len(weights)
+    _exponents(means, noises, sensor, quadratic, linear, constant)
+    if sensor[0] == THRESHOLD_KIND:
+        _silence(means, noises, sensor, silent)
+    for k in range(len(readings)):
+        z = readings[k]
+        if sensor[0] == THRESHOLD_KIND and z == 0.0:
+            one, two, three = scratch.zeros, scratch.zeros, silent
+        else:
+            one, two, three = quadratic, linear, constant
+        own = fma(
+            fma(one[imagined[k]], z, two[imagined[k]]), z, three[imagined[k]]
+        )  # a scale near the greatest log-likelihood
+        total = own
+        if len(earlier) > 0:
+            total = totals[k] + own
+            for i in range(count):
+                offset[i] = three[i] + earlier[k, i]
+            three = offset
+        _reweight(one, two, three, z, own, weights, values, scratch.buffers, sums)
+        if len(later) > 0:
+            later_totals[k] = total
+            for i in range(count):
+                later[k, i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
+        said[0, k] = total + log(sums[0])
+        said[1, k] = total + sums[1] / sums[0]
+        for f in range(len(values)):
+            expected[k, f] = sums[2 + f] / sums[0]
+
+
 @kernel(
-    "Tuple((float64[:, :, ::1], float64[:, :, ::1], float64[:, :, :, ::1]))(float64[:, :, ::1], "
-    "float64[::1], float64[:, :, :, ::1], "
-    "int64[::1], float64[:, :, ::1], float64[::1], float64[:, ::1])",
+    "Tuple((float64[:, :, ::1], float64[:, :, ::1], float64[:, :, :, ::1], float64[::1]))("
+    "float64[:, :, ::1], float64[::1], float64[:, :, :, ::1], int64[::1], float64[:, :, ::1], float64[::1], "
+    "float64[:, ::1], float64[:, ::1], float64[:, ::1])",
     nogil=True,
 )
 def imagine(
@@ -130,8 +207,10 @@ def imagine(
     readings: Array,
     sensor: Array,
     noises: Array,
-) -> tuple[Array, Array, Array]:
-    """Reweight a belief by hypothetical readings along A paths of L places.
+    means_before: Array,
+    readings_before: Array,
+) -> tuple[Array, Array, Array, Array]:
+    """Reweight a belief by hypothetical readings along A paths of L places, and by B that come before all.
 
     means: (A, L, N) concentration at each place under each particle, g/m³.  weights: (N,), sum one.
     values: (A, L, F, N) values of each particle at each place, or (1, 1, F, N) if they are the same at all
@@ -139,49 +218,41 @@ def imagine(
     imagined: (K,) the particles from which the readings were drawn.  readings: (A, L, K).  sensor: (5,) as
     of `plume.sensors.names.sensor_row`.
     noises: (2, N) each particle's factor on the sensor's noise, and its intermittency (cv) of the gas.
+    means_before, readings_before: (B, N) and (B, K), of what is read before, whatever the path.
 
     Results at a place include all readings on the path up to it. Returns the log predictive density of
     these readings (A, L, K); their expected log-likelihood (A, L, K) and the expectation of each value (A,
-    L, K, F), both under the belief after them. For hits, log z! is left out of both logarithms: it is the
-    same for all particles and cancels in their difference.
+    L, K, F), both under the belief after them; and the information of those before (K,). For hits, log z! is
+    left out of both logarithms: it is the same for all particles and cancels in their difference.
     """
     (paths, length, count), number, rows = means.shape, len(imagined), values.shape[2]
-    quadratic, linear, constant = np.empty(count), np.empty(count), np.empty(count)
-    silent, zeros, offset = np.empty(count), np.zeros(count), np.empty(count)
-    before, owns = np.empty((number if length > 1 else 0, count)), np.zeros(number)
-    buffers, sums = np.empty((3, BLOCK)), np.empty(2 + rows)
-    log_predictive, log_likelihood = np.empty((paths, length, number)), np.empty((paths, length, number))
-    expectations = np.empty((paths, length, number, rows))
+    first = len(means_before)
+    predictor = Predictor(weights, imagined, sensor, noises)
+    scratch = Scratch(np.empty((5, count)), np.zeros(count), np.empty((3, BLOCK)), np.empty(2 + rows))
+    said, expectations = np.empty((paths, length, 2, number)), np.empty((paths, length, number, rows))
+    none, before = np.empty((0, count)), np.empty((number if first else 0, count))
+    along = np.empty((number if length > 1 else 0, count))
+    totals, totals_before = np.empty(number), np.empty(number)
+    gains_before = np.zeros(number)
+    for step in range(first):
+        earlier = before if step > 0 else none
+        last, nothing = np.empty((2, number)), np.empty((0, count))
+        _read(
+            *(means_before[step], readings_before[step], nothing, predictor, scratch),
+            *(earlier, totals_before, before, totals_before, last, np.empty((number, 0))),
+        )
+        gains_before = last[1] - last[0]
     for a in range(paths):
         for step in range(length):
-            seen = values[min(a, len(values) - 1), min(step, values.shape[1] - 1)]
-            _exponents(means[a, step], noises, sensor, quadratic, linear, constant)
-            if sensor[0] == THRESHOLD_KIND:
-                _silence(means[a, step], noises, sensor, silent)
-            for k in range(number):
-                z = readings[a, step, k]
-                if sensor[0] == THRESHOLD_KIND and z == 0.0:
-                    one, two, three = zeros, zeros, silent
-                else:
-                    one, two, three = quadratic, linear, constant
-                own = fma(
-                    fma(one[imagined[k]], z, two[imagined[k]]), z, three[imagined[k]]
-                )  # a scale near the greatest log-likelihood
-                if step > 0:
-                    for i in range(count):
-                        offset[i] = three[i] + before[k, i]
-                    three = offset
-                _reweight(one, two, three, z, own, weights, seen, buffers, sums)
-                total = own if step == 0 else owns[k] + own
-                if step + 1 < length:
-                    owns[k] = total
-                    for i in range(count):
-                        before[k, i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
-                log_predictive[a, step, k] = total + log(sums[0])
-                log_likelihood[a, step, k] = total + sums[1] / sums[0]
-                for f in range(rows):
-                    expectations[a, step, k, f] = sums[2 + f] / sums[0]
-    return log_predictive, log_likelihood, expectations
+            earlier, sums = (along, totals) if step > 0 else (before, totals_before)
+            later = along if step + 1 < length else none
+            _read(
+                *(means[a, step], readings[a, step]),
+                *(values[min(a, len(values) - 1), min(step, values.shape[1] - 1)], predictor, scratch),
+                *(earlier, sums, later, totals, said[a, step], expectations[a, step]),
+            )
+    log_predictive, log_likelihood = said[:, :, 0].copy(), said[:, :, 1].copy()
+    return log_predictive, log_likelihood, expectations, gains_before
 
 
 @kernel("float64[:, ::1](float64[:, :], float64[::1], float64[::1])")

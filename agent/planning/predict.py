@@ -164,29 +164,40 @@ def imagine_along(
 
     values: (A, 1, F, N), or (A, L, F, N) if nothing is read `before`.
     """
-    sensor, first = parse(belief.sensor), len(before)
-    if first:
-        paths = np.concatenate([np.broadcast_to(before, (len(paths), first, 2)), paths], axis=1)
-    means = concentrations(belief, hypotheses, paths.reshape(-1, 2)).reshape(*paths.shape[:2], -1)
+    sensor, places = parse(belief.sensor), np.concatenate([before, paths.reshape(-1, 2)])
+    at_all = concentrations(belief, hypotheses, places)
+    means_before, means = at_all[: len(before)], at_all[len(before) :].reshape(*paths.shape[:2], -1)
     noises = _noises(belief, hypotheses)
     cumulative = np.cumsum(hypotheses.weights)
     strata = (np.arange(number) + rng.random()) / number * cumulative[-1]
     drawn = np.minimum(np.searchsorted(cumulative, strata, side="right"), len(cumulative) - 1)
     bits = np.random.Philox(int(rng.integers(2**63)))
+
+    def draw(rows: Array) -> Array:
+        """Draw readings at places (L, N) in turn: (L, K)."""
+        generator = np.random.Generator(bits)
+        return np.array([_readings(sensor, row[drawn], noises[:, drawn], generator) for row in rows])
+
+    readings_before = draw(means_before).reshape(-1, number)
     begin, readings = bits.state, np.empty((*paths.shape[:2], number))
     for along, of_path in zip(means, readings, strict=True):
         bits.state = begin
-        generator = np.random.Generator(bits)
-        for row, of_place in zip(along, of_path, strict=True):
-            of_place[:] = _readings(sensor, row[drawn], noises[:, drawn], generator)
+        of_path[:] = draw(along)
     if values is None:
         values = np.empty((1, 1, 0, len(cumulative)))
-    said = kernels.imagine(
-        means, hypotheses.weights, np.ascontiguousarray(values), drawn, readings, sensor_row(sensor), noises
+    *said, gains_before = kernels.imagine(
+        *(
+            means,
+            hypotheses.weights,
+            np.ascontiguousarray(values),
+            drawn,
+            readings,
+            sensor_row(sensor),
+            noises,
+        ),
+        *(means_before, readings_before),
     )
-    log_predictive, log_likelihood, expectations = (result[:, first:] for result in said)
-    gains_before = (said[1] - said[0])[0, first - 1] if first else np.zeros(number)
-    return Imagined(log_predictive, log_likelihood, expectations, means[:, first:], noises, gains_before)
+    return Imagined(*said, means, noises, gains_before)
 
 
 def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Generator) -> Array:

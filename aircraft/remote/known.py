@@ -13,7 +13,7 @@ from aircraft.remote.glitches import Fix, Glitches
 from aircraft.state import ZERO, Ned, as_float32
 from link.bus.mavlink import Message, Texts
 from link.modes import Mode
-from plume.geodesy import home_from
+from plume.geodesy import home_from, to_local
 
 LOST_S = 3.0  # time without a HEARTBEAT after which the link counts as lost; it comes once a second
 STALE_S = 1.0  # time after which a position is too old to act on
@@ -76,6 +76,9 @@ class Known:
     boot_ms: int = 0  # the autopilot's clock when it last told its position or attitude
     boots: int = 0  # how often that clock has begun anew
     came_s: dict[int, float] = field(default_factory=dict)  # when each message type last came, by number
+    # Where home is meant to be, latitude and longitude in degrees, and how far from there it may be, m.
+    home_meant: tuple[float, float] | None = None
+    home_within_m: float = math.inf
     _texts: Texts = field(default_factory=Texts)
     _breach: tuple[int, int] = (0, 0)  # whether the fence is breached, and how often it was
     _corner: Ned = ZERO  # of the search area; known once home and origin are
@@ -217,7 +220,23 @@ class Known:
             return f"no GPS_GLOBAL_ORIGIN, {asked} without it the area has no place"
         if self.home is None:
             return f"no HOME_POSITION, {asked} set home from a ground station"
-        return ""
+        return self.misplaced
+
+    @property
+    def misplaced(self) -> str:
+        """Why its home is not where the area was drawn for; empty if it is, or is not known."""
+        if self.home is None or self.home_meant is None:
+            return ""
+        (lat, lon, _), (meant_lat, meant_lon) = self.home, self.home_meant
+        north, east = to_local(meant_lat, meant_lon, lat, lon)
+        away_m = math.sqrt(north * north + east * east)
+        if away_m <= self.home_within_m:
+            return ""
+        return (
+            f"home, {lat:.7f}, {lon:.7f}, is {away_m:.1f} m from the problem's, {meant_lat:.7f}, "
+            f"{meant_lon:.7f}: its area would lie elsewhere by as much; wanted within "
+            f"{self.home_within_m:g} m"
+        )
 
     @property
     def unready(self) -> str:

@@ -287,6 +287,9 @@ class Procedures:
         yield from self.commander.until(  # arming sets home anew
             lambda: known.came_s.get(home, -math.inf) > armed_s, self.commander.patient(HOME_S)
         )
+        if known.misplaced:
+            self.fail(f"Take-off refused: {known.misplaced}")
+            return
         home_m = known.to_home()[2]
         assert known.home
         unset, above = (

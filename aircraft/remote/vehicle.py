@@ -64,6 +64,7 @@ class RemoteVehicle:
         self.flight = Procedures(commander)
         self.preflight = Preflight(self.flight, config, wait_s, launched=launched)
         self._commander, self._known = commander, commander.known
+        self._known.home_meant, self._known.home_within_m = config.home_meant, config.home_within_m
         self._watch = Watch(self.flight)
         self.course = Course(self.flight, config)
         self._follows = False  # whether the companion's mode means OFFBOARD, not HOLD

@@ -40,6 +40,8 @@ from plume.parameters import (
     THRESHOLD_KIND,
     D,
     Q,
+    X,
+    Y,
     Z,
 )
 from plume.sensors.response import LEG_SHARES, follow, gas_means, is_direct, kept_of, lags, settle
@@ -61,14 +63,13 @@ class Model(NamedTuple):
     priors: Array  # (15, 5): kind, two numbers, and the support's ends of each parameter
     sensor: Array  # (SENSOR_NUMBERS,): kind and numbers
     spikes: Array  # (1,): share of the readings that say nothing of the source
-    walls: (
-        Array  # (W, 4): x and y of both ends of the sides of polygons in which it is not, as `Config.walls`
-    )
+    walls: Array  # (W, 5): sides of polygons in which it is not, or is expected, as `Config.walls`
+    densities: Array  # (1 + P,): of the prior of the place in polygons, as `Config.densities`
 
 
 tuple_type: Any = numba.types.NamedTuple
 ROW, TABLE, STACK = numba.float64[::1], numba.float64[:, ::1], numba.float64[:, :, ::1]
-MODEL = tuple_type((numba.int64[::1], TABLE, ROW, ROW, TABLE), Model)
+MODEL = tuple_type((numba.int64[::1], TABLE, ROW, ROW, TABLE, ROW), Model)
 
 
 @subroutine
@@ -397,6 +398,34 @@ def log_likelihoods(particles: Array, model: Model, reading: Array) -> Array:
 
 
 @subroutine
+def place_density(particles: Array, i: int, model: Model) -> float:
+    """Density of the prior of particle i's place in the polygons of the model, up to a constant; 0 in a wall.
+
+    A polygon encloses a place as `plume.polygons.polygons.enclosed` says.
+    """
+    x, y = model.priors[X, 1], model.priors[Y, 1]
+    for row in range(len(model.unknowns)):
+        x = particles[row, i] if model.unknowns[row] == X else x
+        y = particles[row, i] if model.unknowns[row] == Y else y
+    total, turns, number = model.densities[0], 0, 0
+    for side in range(len(model.walls)):
+        x_1, y_1, x_2, y_2, of = model.walls[side]
+        if of != number:
+            if turns != 0 and number == 0:
+                return 0.0
+            total += model.densities[number] if turns != 0 else 0.0
+            turns, number = 0, int(of)
+        left = (x_2 - x_1) * (y - y_1) - (y_2 - y_1) * (x - x_1)
+        if y_1 <= y < y_2 and left > 0:
+            turns += 1
+        elif y_2 <= y < y_1 and left < 0:
+            turns -= 1
+    if turns != 0:
+        return 0.0 if number == 0 else total + float(model.densities[number])
+    return float(total)
+
+
+@subroutine
 def log_prior(particles: Array, i: int, model: Model) -> float:
     """Log prior density of particle i up to a constant; of a log-normal parameter, that of its logarithm."""
     total = 0.0
@@ -411,7 +440,7 @@ def log_prior(particles: Array, i: int, model: Model) -> float:
             total += (a - 1) * log(value) - value / b
         elif kind == LOGNORMAL:
             total -= 0.5 * ((log(value) - a) / b) ** 2
-    return total
+    return total + log(place_density(particles, i, model)) if len(model.densities) > 1 else total
 
 
 @kernel(numba.float64[::1](numba.float64[:, ::1], MODEL))

@@ -16,6 +16,7 @@ from estimator.kernels.densities import (
     is_a_normal_density,
     is_fused,
     log_prior,
+    place_density,
     reading_densities,
 )
 from plume.compiled import kernel, subroutine
@@ -23,7 +24,7 @@ from plume.draws import key_of, uniform, word_at
 from plume.elementary import Array, Indices
 from plume.kernels import NOISES, derive, is_plain
 from plume.numerics import direction, dot, exp, log, log1p, total_of
-from plume.parameters import LOGNORMAL, PHI, X, Y
+from plume.parameters import LOGNORMAL, PHI, Y
 
 EVERYTHING, PLACE, REST = 0, 1, 2  # what a proposal changes: all unknowns, those of the place, or the others
 FREEDOM = 4.0  # degrees of freedom of independent proposals: their tails are heavier than a posterior's
@@ -125,7 +126,7 @@ def _propose_places(particles: Array, key: np.uint64, proposals: Array, needed: 
 
 @subroutine
 def _refuse_outside(proposals: Array, model: Model, needed: Array) -> None:
-    """Make `needed` infinite where a proposal leaves the prior's support, or is inside a polygon.
+    """Make `needed` infinite where a proposal leaves the prior's support.
 
     (Reflection at the ends would make correlated steps asymmetric.)
     """
@@ -135,26 +136,8 @@ def _refuse_outside(proposals: Array, model: Model, needed: Array) -> None:
             inside = low <= proposals[row, i] <= high
             needed[i] = needed[i] if inside else np.inf
     if len(model.walls) > 0:
-        x, y = model.priors[X, 1], model.priors[Y, 1]
         for i in range(len(needed)):
-            for row in range(len(model.unknowns)):
-                x = proposals[row, i] if model.unknowns[row] == X else x
-                y = proposals[row, i] if model.unknowns[row] == Y else y
-            needed[i] = np.inf if _is_enclosed(x, y, model.walls) else needed[i]
-
-
-@subroutine
-def _is_enclosed(x: float, y: float, walls: Array) -> bool:
-    """As `plume.polygons.polygons.enclosed`, of one place."""
-    turns = 0
-    for side in range(len(walls)):
-        x_1, y_1, x_2, y_2 = walls[side]
-        left = (x_2 - x_1) * (y - y_1) - (y_2 - y_1) * (x - x_1)
-        if y_1 <= y < y_2 and left > 0:
-            turns += 1
-        elif y_2 <= y < y_1 and left < 0:
-            turns -= 1
-    return turns != 0
+            needed[i] = needed[i] if place_density(proposals, i, model) > 0 else np.inf
 
 
 @subroutine

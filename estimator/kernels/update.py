@@ -41,7 +41,7 @@ class WeightedSample(NamedTuple):
 
 SAMPLE = tuple_type((TABLE, ROW, ROW, ROW), WeightedSample)
 SAMPLES = tuple_type((STACK, TABLE, TABLE, TABLE), WeightedSample)
-MODELS = tuple_type((numba.int64[::1], STACK, TABLE, TABLE, STACK), Model)
+MODELS = tuple_type((numba.int64[::1], STACK, TABLE, TABLE, STACK, TABLE), Model)
 
 
 @subroutine
@@ -125,8 +125,9 @@ def update_missions(
     Arrays are as in `update`, stacked, but for the unknowns, which all share.
     """
     particles, log_weights, weights, log_targets = samples
-    unknowns, priors, sensors, spikes, walls = models
+    unknowns, priors, sensors, spikes, walls, densities = models
     for b in missions:
         sample = WeightedSample(particles[b], log_weights[b], weights[b], log_targets[b])
-        model, count = Model(unknowns, priors[b], sensors[b], spikes[b], walls[b]), counts[b]
+        model = Model(unknowns, priors[b], sensors[b], spikes[b], walls[b], densities[b])
+        count = counts[b]
         ranks[b, count - 1] = update(sample, readings[b, :count], model, seeds[b], sweeps)

@@ -62,7 +62,8 @@ def problem_of(content: bytes, kind: str) -> Problem:
     (west, south), (east, north) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     within = in_area(Area((west, south), (east, north)))
     obstacles = Obstacles(keep_out, keep_in, CLEARANCE_M, within.area.low, within.area.high)
-    return within.changed(keep_in=keep_in, keep_out=tuple(keep_out), start=_start(obstacles))
+    start = _start(obstacles)
+    return within.changed(keep_in=keep_in, keep_out=tuple(keep_out), start=start, home=fence.home)
 
 
 def _start(obstacles: Obstacles) -> Place:

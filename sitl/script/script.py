@@ -15,6 +15,7 @@ from msgspec import Meta
 from aircraft.search.events import Count, OnBoard, Radians, ScriptEvent, Wind, WindSpeed
 from aircraft.search.search import AfterStop
 from link.cli import BadInput, did_you_mean
+from plume.geodesy import HOME
 from plume.parameters import LIMITS, MOST
 from plume.problem import FARTHEST_M, PAPER, Place, Problem
 from plume.problems.fleet import FARTHEST_APART_M, MOST_VEHICLES, Fleet
@@ -335,6 +336,10 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         factor = self.speedup or 1.0
         fields["silence_s"] *= factor
         fields["area"] = self.problem.ground
+        if home := self.problem.home:
+            fields["home_meant"] = home
+            if (self.vehicle.home_lat_deg, self.vehicle.home_lon_deg) == HOME:
+                fields["home_lat_deg"], fields["home_lon_deg"] = home
         return VehicleConfig(
             sysid=sysid, stream_s=STREAM_S * factor if self.vehicle.strict else math.inf, **fields
         )

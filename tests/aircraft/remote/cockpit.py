@@ -159,6 +159,7 @@ class Cockpit:
         wait_s: float = math.inf,
         launched: bool = False,
         speedup: float = 1.0,
+        config: VehicleConfig | None = None,
         **settings: Any,
     ) -> None:
         settings = {"ready_s": 6.0, **settings}
@@ -168,7 +169,7 @@ class Cockpit:
         self.radio = Radio(self.wire)
         self.log = Log("uav", "test", Tally(), "warning")
         commander = Commander(self.radio, speedup, handling=Handling(self.log).of)
-        self.vehicle = RemoteVehicle(VehicleConfig(), commander, wait_s=wait_s, launched=launched)
+        self.vehicle = RemoteVehicle(config or VehicleConfig(), commander, wait_s=wait_s, launched=launched)
         self.search = Search(self.vehicle, START, after_stop, lambda _, text: self.said.append(text))
         self.bus = OneEnd(Log("uav", "test", Tally(), "error"))
         self.clients = RealClients(

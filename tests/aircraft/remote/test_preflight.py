@@ -9,6 +9,8 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.remote.safety import Check, Verdict
 from aircraft.state import VehicleFailed
+from plume.problem import Fenced
+from sitl.autopilot.config import VehicleConfig
 from tests.aircraft.remote.cockpit import Cockpit
 
 KINDS = ("ardupilot", "px4")
@@ -149,6 +151,53 @@ def test_an_autopilot_that_never_says_its_origin_or_home_is_given_up_with_that_w
         if message.get_type() == "COMMAND_LONG" and message.param1 == number
     ]
     assert mavlink.MAV_CMD_REQUEST_MESSAGE in {message.command for message in asked}
+
+
+STANDS_AT = 47.3977527, 8.5455845
+"""Where the double's home is."""
+NORTH_DEG = 1 / 111_195
+"""A metre north, on a sphere of 6,371 km."""
+
+
+@both
+def test_a_vehicle_that_stands_elsewhere_than_its_fence_was_drawn_for_does_not_fly(kind: str) -> None:
+    meant = STANDS_AT[0] + 40 * NORTH_DEG, STANDS_AT[1]
+    cockpit = Cockpit(kind, wait_s=30.0, config=VehicleConfig(home_meant=meant))
+    last = gives_up(cockpit)
+    assert "is 40.0 m from the problem's, 47.3981124, 8.5455845" in last
+    assert last.endswith("its area would lie elsewhere by as much; wanted within 2 m")
+    assert not any(line.startswith("Arming") for line in cockpit.said)
+
+
+@both
+def test_ways_that_stay_further_from_the_fence_leave_home_more_room(kind: str) -> None:
+    meant = STANDS_AT[0], STANDS_AT[1] + 3 * NORTH_DEG / 0.677  # cos 47.4°
+    around = ((0.0, 0.0), (30.0, 0.0), (30.0, 30.0), (0.0, 30.0))
+    near, far = (
+        VehicleConfig(
+            area=Fenced((0.0, 0.0), (30.0, 30.0), keep_in=around, clearance_m=clearance_m), home_meant=meant
+        )
+        for clearance_m in (3.5, 2.5)
+    )
+    Cockpit(kind, config=near).reads(1)
+    assert "is 3.0 m from the problem's" in gives_up(Cockpit(kind, wait_s=30.0, config=far))
+
+
+def test_a_home_that_arming_moves_away_is_noticed_before_the_climb() -> None:
+    cockpit = Cockpit("ardupilot", config=VehicleConfig(home_meant=STANDS_AT))
+    says = cockpit.ap.says[HOME]
+
+    def elsewhere(*given: Any) -> Any:
+        message = says(*given)
+        if message is not None and cockpit.ap.armed:
+            message.latitude += 500  # 5.6 m
+        return message
+
+    cockpit.ap.says = {**cockpit.ap.says, HOME: elsewhere}
+    cockpit.run(60.0)
+    assert cockpit.vehicle.failure.startswith("Take-off refused: home, 47.3978027, 8.5455845, is 5.6 m from")
+    assert not cockpit.ap.armed
+    assert not cockpit.readings
 
 
 @both

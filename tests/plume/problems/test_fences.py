@@ -92,6 +92,7 @@ def test_a_fence_is_in_metres_from_its_home(name: str, text: str, tmp_path: Path
     assert problem.area.low == pytest.approx((0, 0), abs=0.02)
     assert problem.area.high == pytest.approx((4 * EAST_M, 2 * NORTH_M), abs=0.02)
     assert problem.step_m == 1.0
+    assert problem.home == (60.0, 10.0)
     assert named(problem.text) == problem
     assert problem.ground.obstacles
     # Home is a corner of the field, so the search begins at the nearest place that is clear.
