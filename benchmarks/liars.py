@@ -25,7 +25,7 @@ from agent.trials.figures import wilson
 from agent.trials.rollout import mission
 from estimator.belief import stuck
 from estimator.filter import assimilate, prior
-from estimator.watch import Watch
+from estimator.watch import SensorWatch
 from link import cli
 from link.terminal import tell
 from plume.outcome import verdict
@@ -89,7 +89,7 @@ def _searched(seed: int, lie: str, liar: int, leaving: Mapping[int, int]) -> tup
             seed, "homing", 1000, 0.5, BUDGET, fleet=Fleet(VEHICLES, "corners"), leaving=leaving,
             forgotten=tuple(leaving), assume="field",
         )  # fmt: skip
-        watch, before, named, at = Watch(flown.config, VEHICLES), prior(flown.config), 0, -1
+        watch, before, named, at = SensorWatch(flown.config, VEHICLES), prior(flown.config), 0, -1
         for number, step in enumerate(flown.steps):
             if not leaving and not named:
                 for reading in step.readings:

@@ -10,7 +10,7 @@ from estimator.belief import belief, contributions, stop, stuck, warning
 from estimator.filter import Config, assimilate, forget, prior
 from estimator.gathering import Gathering
 from estimator.roll import OVERDUE_S, Roll
-from estimator.watch import Watch
+from estimator.watch import SensorWatch
 from link.bus.keys import BELIEF, READING, STOP
 from link.bus.mavlink import BadFrame, Reading, split, unpack_reading
 from link.bus.messages import Belief, RoundReading, pack_particles
@@ -39,7 +39,7 @@ def run(
     roll = Roll(bus, rounds, known, config, overdue_s)
     _begin(bus, config, roll)
     posterior = prior(config)
-    watch = Watch(config, len(systems) if len(systems) > 1 else 0)
+    watch = SensorWatch(config, len(systems) if len(systems) > 1 else 0)
     summary, particles = None, b""
     stopped, forgotten = False, frozenset[int]()
     while True:

@@ -85,7 +85,7 @@ class _Suspect:
         return lies - max(together - self.others, self.sound)
 
 
-class Watch:
+class SensorWatch:
     """Watches the sensors of several vehicles that search together."""
 
     def __init__(self, config: Config, vehicles: int) -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from estimator.filter import Config, assimilate, forget, prior
-from estimator.watch import SCALE, SHAPE, WORTH, Hum, Watch
+from estimator.watch import SCALE, SHAPE, WORTH, Hum, SensorWatch
 from link.bus.mavlink import Reading
 from plume.scenario import draw
 from plume.sensors.names import parse
@@ -46,7 +46,7 @@ def rounds(liar: int, lie: Lie, sensor: str = "gaussian", vehicles: int = 3) -> 
 
 def named(taken: list[list[Reading]], told: Config, vehicles: int = 3) -> list[tuple[int, ...]]:
     """Whom a watch names after each round."""
-    watch, posterior, said = Watch(told, vehicles), prior(told), []
+    watch, posterior, said = SensorWatch(told, vehicles), prior(told), []
     for here in taken:
         for reading in here:
             before, posterior = posterior, assimilate(posterior, reading, told)
@@ -96,7 +96,7 @@ def test_sensors_that_count_are_watched_too() -> None:
 
 def test_who_is_forgotten_is_named_no_more() -> None:
     told, taken = config(), rounds(2, hums)
-    watch, posterior = Watch(told, 3), prior(told)
+    watch, posterior = SensorWatch(told, 3), prior(told)
     for number, here in enumerate(taken):
         if number == 10:
             posterior = forget(posterior, {2}, told)
