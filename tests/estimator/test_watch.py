@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from estimator.filter import Config, assimilate, forget, prior
 from estimator.watch import SCALE, SHAPE, WORTH, Hum, SensorWatch
@@ -116,6 +115,8 @@ def test_a_vehicle_alone_is_held_against_nobody() -> None:
 
 def test_the_density_of_a_hum_is_that_of_students_t() -> None:
     """Normal-inverse-gamma, its predictive density step by step, by the textbook's formulas."""
+    from scipy import stats  # takes long to load
+
     hum, gases = Hum(SCALE * 0.04), [0.7, -0.1, 1.3, 1.1]
     mean, worth, shape, scale, expected = 0.0, WORTH, SHAPE, SCALE * 0.04, 0.0
     for gas in gases:
