@@ -75,6 +75,7 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         help="of several vehicles, one for which the others have waited S real seconds leaves the search; 0: "
         "they wait without end (default: %(default)g)",
     )
+    cli.add_doubted_argument(parser)
     args = parser.parse_args(arguments)
     try:
         problem = problem_of(args)
@@ -106,7 +107,8 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         sole=True,
         vehicles=cli.numbers(args.vehicles),
     ) as bus:
-        run(bus, config, [args.sysid and args.sysid + other for other in range(args.vehicles)], args.overdue)
+        systems = [args.sysid and args.sysid + other for other in range(args.vehicles)]
+        run(bus, config, systems, args.overdue, args.doubted == cli.LEAVE_OUT)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from estimator.kernels.checks import log_likelihood_of_one_value, one_wind_p_val
 from estimator.kernels.densities import log_priors
 from estimator.kernels.weights import effective_sample_size, moments, weighted_mean
 from estimator.priors import Fixed
-from estimator.repeats import way_back
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Contribution, Particles, Stop
 from plume.elementary import Array, Indices, direction
@@ -26,6 +25,8 @@ CLEAR = 5.0  # least `evidence` for a stop, nats
 RUN = 20
 # This many bit-identical readings in a row mean that a noisy sensor is stuck. No stop comes before so many.
 STUCK = 3
+REPEATS = 10  # readings at two places in turn: of 240 searches in gas as modelled, none had so many
+SAME = 1 / 4  # of the way between the two: places that are nearer to each other are one
 
 
 def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Belief, Particles]:
@@ -97,6 +98,23 @@ def _back(posterior: Posterior) -> tuple[float, float] | msgspec.UnsetType:
     return msgspec.UNSET if place is None else place
 
 
+def way_back(places: Array) -> tuple[float, float] | None:
+    """Return where a search that repeats itself would go next; None if it does not.
+
+    places: (T, 2) m, where the readings were taken. The search repeats itself if the last REPEATS of them
+    were taken at two places in turn. A vehicle that stays at one place does not.
+    """
+    last = places[-REPEATS:]
+    if len(last) < REPEATS:
+        return None
+    moved = np.square(last[2:] - last[1:-1]).sum(axis=1)
+    apart = np.square(last[2:] - last[:-2]).sum(axis=1)
+    if not (apart < SAME * SAME * moved).all():
+        return None
+    x, y = last[-2].tolist()
+    return x, y
+
+
 def fit(posterior: Posterior, config: Config) -> float:
     """Return the p-value of the recent readings; 0 if the sensor is stuck.
 
@@ -104,13 +122,21 @@ def fit(posterior: Posterior, config: Config) -> float:
     its last reading is a recent one: its vehicle may have left.
     """
     ranks = posterior.ranks
+    if stuck(posterior, config):
+        return 0.0
+    return 1.0 if len(ranks) < FEWEST else float(uniformity_p_value(ranks[-RECENT:]))
+
+
+def stuck(posterior: Posterior, config: Config) -> Sequence[int]:
+    """Return the numbers of the vehicles whose sensor is stuck; 1 is that of one alone."""
+    found: list[int] = []
     for own in posterior.by_vehicle:
         last = posterior.readings[own, 5][-STUCK:]
-        if not isinstance(own, slice) and own[-1] < len(ranks) - RECENT:
+        if not isinstance(own, slice) and own[-1] < len(posterior.ranks) - RECENT:
             continue
         if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
-            return 0.0
-    return 1.0 if len(ranks) < FEWEST else float(uniformity_p_value(ranks[-RECENT:]))
+            found.append(1 if posterior.vehicles is None else int(posterior.vehicles[own][-1]))
+    return found
 
 
 def evidence(posterior: Posterior, config: Config) -> float:
@@ -160,6 +186,12 @@ def warning(said: Belief, config: Config) -> tuple[str, str] | None:
     A belief that is not narrow yet gives no warning for want of evidence: most searches begin so.
     """
     narrow_m = config.within[0] if config.within else config.threshold_m
+    if said.doubted:
+        whose = " and ".join(f"uav/{vehicle}" for vehicle in said.doubted)
+        return (
+            f"the readings of {whose} do not fit those of the others",
+            "is the sensor stuck, dead or wrong?",
+        )
     if said.p_value < INCOMPATIBLE:
         return (
             f"the readings do not fit the model (p = {said.p_value:.1g} over the last {RECENT})",

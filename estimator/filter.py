@@ -4,7 +4,7 @@ Each reading is assimilated by reweighting, and where needed resampling and movi
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -258,6 +258,21 @@ def prior(config: Config) -> Posterior:
     )
 
 
+def forget(posterior: Posterior, vehicles: Collection[int], config: Config) -> Posterior:
+    """Return the posterior of the readings that these vehicles of a fleet have not taken.
+
+    It is computed anew from the prior, with the readings that are left in their order.
+    """
+    took = _whose(posterior)
+    kept = np.flatnonzero(~np.isin(took, list(vehicles)))
+    again = prior(config)
+    for count, own in enumerate(kept.tolist(), 1):
+        row = posterior.readings[own].copy()
+        row[6] = 1.0  # its share
+        again = with_row(again, row, config, took[kept[:count]])
+    return again
+
+
 def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Posterior:
     """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move.
 
@@ -277,13 +292,26 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
         1 1.69 False
         2 1.16 False
     """
-    sample = WeightedSample(*(array.copy() for array in posterior.sample))
     vehicles = posterior.vehicles
     if vehicles is not None or reading.vehicle != 1:
-        earlier = np.ones(len(posterior.readings), np.int64) if vehicles is None else vehicles
-        vehicles = np.append(earlier, reading.vehicle)
-    own = posterior.readings if vehicles is None else posterior.readings[vehicles[:-1] == reading.vehicle]
-    before = own[-1] if len(own) else None  # an instrument follows its own readings only
-    readings = np.vstack([posterior.readings, config.row(reading, before)])
+        vehicles = np.append(_whose(posterior), reading.vehicle)
+    return with_row(posterior, row_of(posterior, reading, config), config, vehicles)
+
+
+def row_of(posterior: Posterior, reading: Reading, config: Config) -> Array:
+    """Return the next reading as the kernels take it: an instrument follows those of its own vehicle."""
+    own = posterior.readings[_whose(posterior) == reading.vehicle]
+    return config.row(reading, own[-1] if len(own) else None)
+
+
+def _whose(posterior: Posterior) -> Indices:
+    """Return which vehicle took each reading, (T,)."""
+    return np.ones(len(posterior.readings), np.int64) if posterior.vehicles is None else posterior.vehicles
+
+
+def with_row(posterior: Posterior, row: Array, config: Config, vehicles: Indices | None = None) -> Posterior:
+    """Return the posterior after one more reading, as the kernels take it, and who has taken them all."""
+    sample = WeightedSample(*(array.copy() for array in posterior.sample))
+    readings = np.vstack([posterior.readings, row])
     rank = update(sample, readings, config.model, config.seed, config.sweeps)
     return Posterior(*sample, readings, np.append(posterior.ranks, rank), vehicles)

@@ -22,6 +22,16 @@ class Gathering:
         self._ends = [math.inf] * vehicles  # the first round that it takes no part in
         self._next = 0  # the number of the next round
 
+    @property
+    def number(self) -> int:
+        """The number of the next round."""
+        return self._next
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether any vehicle has read."""
+        return any(self.counts)
+
     def take(self, reading: Reading) -> None:
         """Take an admitted reading: it is later than those of its vehicle before."""
         own = reading.vehicle - 1
@@ -60,6 +70,10 @@ class Gathering:
         if step < self._next:
             raise ValueError(f"round {step} has been taken with vehicle {vehicle}")
         self._ends[vehicle - 1] = step
+
+    def left(self) -> Sequence[int]:
+        """Return the vehicles that have not left."""
+        return [number for number, end in enumerate(self._ends, 1) if end == math.inf]
 
     def has_ended(self, vehicle: int) -> bool:
         """Whether a vehicle has left, whatever of its readings is still to come."""

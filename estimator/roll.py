@@ -11,9 +11,9 @@ from time import monotonic as now_s
 from estimator.admission import refusal
 from estimator.filter import Config
 from estimator.gathering import Gathering
-from link.bus.keys import DEPARTURE, HEALTH, OF_VEHICLE, READING
+from link.bus.keys import DEPARTURE, HEALTH, LEAVE_OUT, OF_VEHICLE, READING
 from link.bus.mavlink import READING_KINDS, BadFrame, Reading, split, unpack_reading
-from link.bus.messages import Departure, Health, departure_text
+from link.bus.messages import Departure, Health, LeaveOut, departure_text
 from link.bus.session import Arrival, Bus, LivelinessChange, part_of
 
 OVERDUE_S = 20.0  # real time for which a round waits for a vehicle: the others hover meanwhile
@@ -34,6 +34,7 @@ class Attendance:
     overdue_s: float  # 0: nobody ever leaves
     present: set[int] = field(default_factory=set)  # vehicles that have a liveliness token
     health: dict[int, Health] = field(default_factory=dict)  # the newest of each vehicle
+    known: set[int] = field(default_factory=set)  # vehicles that have ever had a token
     _since_s: Mapping[int, float] = field(default_factory=dict)  # when each of the missing was missed first
 
     def look(self, time_s: float, missing: Sequence[int]) -> list[tuple[int, str]]:
@@ -44,6 +45,15 @@ class Attendance:
             for vehicle, since_s in self._since_s.items()
             if self.overdue_s and (why := self._why(vehicle, time_s - since_s))
         ]
+
+    def lives(self, vehicle: int, alive: bool) -> None:
+        """Take that a vehicle has joined the bus or is gone."""
+        (self.present.add if alive else self.present.discard)(vehicle)
+        self.known.add(vehicle)
+
+    def gone(self) -> Sequence[int]:
+        """Return the vehicles that were there and are gone, if others are there."""
+        return sorted(self.known - self.present) if self.present else []
 
     def forgive(self) -> None:
         """Count no time up to now: nobody could be heard."""
@@ -83,7 +93,7 @@ class Roll:
         self._look_at_s, self._begin_at_s = 0.0, now_s() + LEARN_S
         self._told: set[int] = set()  # those whose readings after they left have been told of
         if self._several:
-            bus.subscribe(DEPARTURE, HEALTH)
+            bus.subscribe(DEPARTURE, LEAVE_OUT, HEALTH)
             bus.watch_services()
             for arrival in bus.kept(DEPARTURE):
                 self._hear(arrival)
@@ -101,6 +111,9 @@ class Roll:
                 case Arrival(key) as arrival if key is DEPARTURE:
                     if self._hear(arrival):
                         return None
+                case Arrival(key) as arrival if key is LEAVE_OUT:
+                    if self._leave_out(arrival):
+                        return None
                 case Arrival(key) as arrival if key is HEALTH:
                     if (vehicle := self._number(part_of(arrival.name))) and (
                         health := self._bus.decode(arrival, Health)
@@ -108,7 +121,11 @@ class Roll:
                         self._attendance.health[vehicle] = health
                 case LivelinessChange(service, alive):
                     if vehicle := self._number(service):
-                        (self._attendance.present.add if alive else self._attendance.present.discard)(vehicle)
+                        self._attendance.lives(vehicle, alive)
+
+    def forgotten(self, step: int) -> frozenset[int]:
+        """Return the vehicles whose readings do not count in a round, nor those that they took before."""
+        return frozenset(each.vehicle for each in self.left if each.forgotten and each.step <= step)
 
     def took(self, vehicle: int, payload: bytes) -> None:
         """Note the frames of a reading that counts."""
@@ -127,8 +144,10 @@ class Roll:
         if time_s < self._look_at_s:
             return False
         self._look_at_s = time_s + LOOK_S
+        # On the ground all wait for each other: for one that has not come yet without end.
+        holding_up = self._rounds.missing() if self._rounds.has_begun else self._attendance.gone()
         # One that has left, but whose readings have not all come, cannot leave again: `--silence` ends that.
-        missing = [each for each in self._rounds.missing() if not self._rounds.has_ended(each)]
+        missing = [each for each in holding_up if not self._rounds.has_ended(each)]
         if not missing or self._bus.tally.ceased or not self._bus.connected:
             self._attendance.forgive()
             return False
@@ -136,11 +155,34 @@ class Roll:
         if time_s < self._begin_at_s:
             return False
         for vehicle, why in leaving:
-            said = Departure(vehicle, self._rounds.counts[vehicle - 1], why)
-            frames = b"".join(self._frames[vehicle - 1])
-            self._leave(said)
-            self._bus.publish(DEPARTURE, said, frames if len(frames) <= MOST_FRAMES else None)
+            self._part(Departure(vehicle, self._rounds.counts[vehicle - 1], why))
         return bool(leaving)
+
+    def _leave_out(self, arrival: Arrival) -> bool:
+        """Let a vehicle leave as an operator orders; returns whether it does."""
+        order = self._bus.decode(arrival, LeaveOut)
+        return order is not None and self.leave_out(order.vehicle, order.reason)
+
+    def leave_out(self, number: int, reason: str) -> bool:
+        """Let a vehicle leave from the next round on, its readings forgotten; returns whether it does."""
+        left = self._rounds.left()
+        if any(number == each.vehicle for each in self.left):
+            return False  # an estimator that starts again hears the order again
+        why = f"uav/{number} is none of the {len(self._systems)} vehicles" if number not in left else ""
+        why = "the search has ceased" if self._bus.tally.ceased else why
+        if not why and left == [number]:
+            why = f"uav/{number} is the only one left"
+        if why:
+            self._bus.refuse(LEAVE_OUT, why, "order")
+            return False
+        self._part(Departure(number, self._rounds.number, reason, forgotten=self._rounds.number > 0))
+        return True
+
+    def _part(self, said: Departure) -> None:
+        """Let a vehicle leave, and say so, with the frames of its readings that count."""
+        frames = b"".join(self._frames[said.vehicle - 1][: said.step])
+        self._leave(said)
+        self._bus.publish(DEPARTURE, said, frames if len(frames) <= MOST_FRAMES else None)
 
     def _hear(self, arrival: Arrival) -> bool:
         """Take a departure from the bus; returns whether it is news. One that cannot be is refused."""

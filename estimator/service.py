@@ -6,31 +6,42 @@ from collections.abc import Sequence
 import msgspec
 
 from estimator.admission import refusal
-from estimator.belief import belief, contributions, stop, warning
-from estimator.filter import Config, assimilate, prior
+from estimator.belief import belief, contributions, stop, stuck, warning
+from estimator.filter import Config, assimilate, forget, prior
 from estimator.gathering import Gathering
 from estimator.roll import OVERDUE_S, Roll
+from estimator.watch import SensorWatch
 from link.bus.keys import BELIEF, READING, STOP
 from link.bus.mavlink import BadFrame, Reading, split, unpack_reading
 from link.bus.messages import Belief, RoundReading, pack_particles
 from link.bus.session import Bus
 from link.bus.tally import REPEATED
 
+UNFIT = "its readings do not fit those of the others"  # why one is left out by rule
 
-def run(bus: Bus, config: Config, systems: Sequence[int | None], overdue_s: float = OVERDUE_S) -> None:
+
+def run(
+    bus: Bus,
+    config: Config,
+    systems: Sequence[int | None],
+    overdue_s: float = OVERDUE_S,
+    leave_out: bool = False,
+) -> None:
     """Serve until interrupted.
 
     The first readings are those published before it joined: this alone recovers a restarted estimator.
 
     systems: the MAVLink system id of each vehicle that searches; None: that of its first reading that is
     admitted.  overdue_s: the real time for which a round waits for one of several; 0: without end.
+    leave_out: whether one of several whose sensor seems to lie leaves the search.
     """
     known, rounds = list(systems), Gathering(len(systems))
     roll = Roll(bus, rounds, known, config, overdue_s)
     _begin(bus, config, roll)
     posterior = prior(config)
+    watch = SensorWatch(config, len(systems) if len(systems) > 1 else 0)
     summary, particles = None, b""
-    stopped = False
+    stopped, forgotten = False, frozenset[int]()
     while True:
         arrival, refused = roll.receive(), None
         if arrival is None:
@@ -53,11 +64,18 @@ def run(bus: Bus, config: Config, systems: Sequence[int | None], overdue_s: floa
                 known[own] = known[own] or split(arrival.payload)[0].system
         while taken := rounds.whole():
             began = time.perf_counter()
+            if (gone := roll.forgotten(rounds.number - 1)) != forgotten:
+                forgotten = gone
+                posterior = forget(posterior, forgotten, config)
+                watch.forget(forgotten)
             for each in taken:
-                posterior = assimilate(posterior, each, config)
+                before, posterior = posterior, assimilate(posterior, each, config)
+                if len(systems) > 1:
+                    watch.take(before, posterior, each)
             summary, array = belief(posterior, taken[-1], config)
             if len(systems) > 1:
-                summary = _of_all(summary, taken, known)
+                doubted = sorted({*stuck(posterior, config), *watch.look()})
+                summary = _of_all(summary, taken, known, doubted)
             particles = pack_particles(array)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(summary.step)
@@ -74,6 +92,10 @@ def run(bus: Bus, config: Config, systems: Sequence[int | None], overdue_s: floa
                 stopped = bus.tally.ceased = True
             bus.publish(BELIEF, summary, particles)
             bus.answered()
+            if leave_out and summary.doubted and not stopped:
+                for vehicle in summary.doubted[: len(rounds.left()) - 1]:
+                    roll.leave_out(vehicle, UNFIT)
+                bus.tally.about = _about(config, roll)
         # A repeated reading means that no answer arrived. Publishing the same belief again recovers from any
         # lost message. One that waits for those of other vehicles has no answer yet.
         if arrival and refused and summary is not None and not rounds.waits(arrival.vehicle):
@@ -81,8 +103,10 @@ def run(bus: Bus, config: Config, systems: Sequence[int | None], overdue_s: floa
             bus.answered()
 
 
-def _of_all(said: Belief, taken: Sequence[Reading], systems: Sequence[int | None]) -> Belief:
-    """Return a round's belief with the readings that it answers."""
+def _of_all(
+    said: Belief, taken: Sequence[Reading], systems: Sequence[int | None], doubted: Sequence[int]
+) -> Belief:
+    """Return a round's belief with the readings that it answers, and whose sensor seems to lie."""
     readings = tuple(
         RoundReading(
             vehicle=each.vehicle,
@@ -94,7 +118,9 @@ def _of_all(said: Belief, taken: Sequence[Reading], systems: Sequence[int | None
         )
         for each in taken
     )
-    return msgspec.structs.replace(said, readings=readings)
+    return msgspec.structs.replace(
+        said, readings=readings, doubted=tuple(doubted) if doubted else msgspec.UNSET
+    )
 
 
 def _judge(bus: Bus, said: Belief, config: Config) -> None:

@@ -23,6 +23,7 @@ UNREAD = 141
 BAD_INPUT = 2
 FAILED = 1
 # Names of what an estimator may take to be known; `estimator.assumptions` has what they mean.
+LEAVE_OUT = "leave-out"  # with --doubted: a vehicle whose sensor seems to lie leaves the search
 ASSUMPTIONS = ("field", "paper")
 T = TypeVar("T")
 MOST_VEHICLES = 8  # that search together; a test holds it equal to that of `plume.problems.fleet`
@@ -295,6 +296,17 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
         metavar="WHAT",
         help="what must be known to stop: location (--stop), or also standard deviations, as in "
         "location,q=50 (default: %(default)s)",
+    )
+
+
+def add_doubted_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the flag that chooses what happens to a vehicle whose sensor seems to lie."""
+    parser.add_argument(
+        "--doubted",
+        choices=("name", LEAVE_OUT),
+        default="name",
+        help="of several vehicles, name one whose sensor seems to lie, or also leave it out of the search "
+        "(default: %(default)s)",
     )
 
 

@@ -89,6 +89,14 @@ class Left(msgspec.Struct, frozen=True):
     vehicle: int  # its number, from 1
     step: int  # the first round that it took no part in
     reason: str
+    forgotten: bool = False  # whether its readings from before do not count either
+
+
+class DoubtedOf(msgspec.Struct, frozen=True):
+    """A vehicle whose sensor seemed to lie."""
+
+    vehicle: int  # its number, from 1
+    step: int  # of the first belief that names it
 
 
 class MeasuredBy(msgspec.Struct, frozen=True):
@@ -140,6 +148,7 @@ class Outcome(msgspec.Struct, frozen=True):
     distances_m: tuple[float, ...] = ()  # of each vehicle, in their order
     measured: tuple[MeasuredBy, ...] = ()  # by each vehicle, in their order
     left: tuple[Left, ...] = ()  # who has left the search before its end, in the order in which they did
+    doubted: tuple[DoubtedOf, ...] = ()  # whose sensor seemed to lie, in the order in which they were named
 
     @property
     def vehicles(self) -> int:
@@ -192,12 +201,14 @@ def outcome(
     last_word: LastWord | None = None,
     home: tuple[float, float] | None = None,
     left: Sequence[Left] = (),
+    doubted: Mapping[int, int] = MappingProxyType({}),
 ) -> Outcome:
     """Judge a mission by its true scenario, None if it is not known, and its trace.
 
     The trace's first point is the reading before any move.  outside_share, intermittency and advised_dwell_s
     are of the last belief; the last is 0 if as long as now.  home: latitude and longitude of the area's
     corner, degrees, if it is known.  left: who has left a search of several.
+    doubted: by the number of a vehicle whose sensor seemed to lie, the step at which it was named.
     """
     last = trace[-1]
     source = scenario.nearest(last.mean) if scenario else None
@@ -242,6 +253,7 @@ def outcome(
             for number, points in enumerate(own, 1)
         ),
         left=tuple(left),
+        doubted=tuple(DoubtedOf(vehicle, step) for vehicle, step in doubted.items()),
     )
 
 
@@ -298,14 +310,21 @@ def outcome_text(result: Outcome) -> str:
 
 
 def vehicle_lines(result: Outcome) -> list[str]:
-    """Lines for people, each within 60 characters: what each of several has measured, and who has left."""
+    """Lines for people, each within 60 characters: what each of several has measured, and who has left.
+
+    And whose sensor seemed to lie.
+    """
     lines, left = [], {each.vehicle: each for each in result.left}
+    doubted = {each.vehicle: each.step for each in result.doubted}
     for each in result.measured if result.vehicles > 1 else ():
         count = f"{each.readings} reading{'' if each.readings == 1 else 's'}"
         most = "" if each.largest is None else f", at most {_short(each.largest, 2)}"
         lines.append(f"{f'uav/{each.vehicle}':<9}{count}{most}")
+        if each.vehicle in doubted:
+            lines.append(f"{'':9}doubted from step {doubted[each.vehicle]}: does not fit the others")
         if gone := left.get(each.vehicle):
-            lines.append(_cropped(f"{'':9}left at step {gone.step}: {gone.reason}"))
+            counts = ", its readings forgotten" if gone.forgotten and each.readings else ""
+            lines.append(_cropped(f"{'':9}left at step {gone.step}{counts}: {gone.reason}"))
     return lines
 
 

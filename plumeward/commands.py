@@ -21,7 +21,7 @@ PACKAGES = {
 # The commands as the help shows them: by what people want.
 GROUPS = {
     "Fly a mission": ("fly", "list"),
-    "Look while it flies": ("view", "status"),
+    "Look while it flies": ("view", "status", "leave-out"),
     "Analyse a flight": ("findings", "draw", "log", "replay"),
     "Do research": ("rollout", "evaluate", "train", "report", "worlds"),
     "Operate parts by themselves": (

@@ -15,6 +15,7 @@ COMMANDS = {
     "fly": Command("sitl.launch.command", "fly one mission, each part a process of its own"),
     "view": Command("ground.view.command", "show missions on a page, live or recorded"),
     "status": Command("ground.desk.status", "show how the parts of a running mission are doing"),
+    "leave-out": Command("ground.desk.leave_out", "let a vehicle leave a search of several"),
     "log": Command("ground.desk.summary", "summarise a log, or print one of its keys as CSV"),
     "draw": Command("ground.desk.draw", "draw a log as a picture or an animation"),
     "findings": Command("ground.findings.command", "write what a flight has found: page, map, figures"),

@@ -1,7 +1,7 @@
 """A mission flown in-process, without the network, with bit-identical results."""
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -61,18 +61,21 @@ def mission(
     problem: Problem = PAPER,
     fleet: Fleet = ALONE,
     leaving: Mapping[int, int] = NOBODY,
+    forgotten: Collection[int] = (),
     **knowledge: Any,
 ) -> Mission:
     """Prepare the mission of a seed with a policy, by default with the paper's assumption.
 
     `moves`: fields of `Reach`. `ends`: whether the stop ends it. `budget` and `world`: the problem's if None.
-    `fleet`: the vehicles that fly it together; `leaving`: the first round without a vehicle, by its number.
+    `fleet`: the vehicles that fly it together; `leaving`: the first round without a vehicle, by its number;
+    `forgotten`: those of them whose readings do not count from then on.
     `knowledge`: other fields of `Config`, like the sensor.
     """
     problem = with_arguments(problem, budget=budget, world=world)
     there, config = prepared(seed, problem, particles, threshold_m, **knowledge)
     within = reach(policy, moves, problem)
-    steps = _steps(there, config, policy, derived_seed(seed, "agent"), within, ends, fleet, leaving)
+    agent_seed = derived_seed(seed, "agent")
+    steps = _steps(there, config, policy, agent_seed, within, ends, fleet, leaving, forgotten)
     return Mission(there.truth, config, steps)
 
 
@@ -120,8 +123,9 @@ def _steps(
     ends: bool,
     fleet: Fleet,
     leaving: Mapping[int, int],
+    forgotten: Collection[int],
 ) -> Iterator[Step]:
-    rounds = Rounds(world, config, fleet.starts(world.start, world.seed, config.area), leaving)
+    rounds = Rounds(world, config, fleet.starts(world.start, world.seed, config.area), leaving, forgotten)
     positions, decision_s = rounds.places, 0.0
     for step in range(world.problem.budget + 1):
         flown = rounds.fly(positions)

@@ -2,12 +2,12 @@
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
 from estimator.belief import belief
-from estimator.filter import Config, Posterior, assimilate, prior
+from estimator.filter import Config, Posterior, assimilate, forget, prior
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
 from plume.problems.fleet import Place
@@ -39,16 +39,18 @@ class Rounds:
         config: Config,
         starts: Sequence[Place],
         leaving: Mapping[int, int] = MappingProxyType({}),
+        forgotten: Collection[int] = (),
     ) -> None:
         """Take the world as vehicle 1 measures it, and the vehicles' places.
 
         leaving: the first round that a vehicle takes no part in, by its number, from 1, if it leaves.
+        forgotten: those of them whose readings do not count from then on.
         """
         self._config = config
         self._posterior = prior(config)
         self._time = RoundTime(world, starts)
         self._before: list[Before | None] = [None] * len(starts)
-        self._leaving = leaving
+        self._leaving, self._forgotten = leaving, forgotten
         self.numbers: Sequence[int] = range(1, len(starts) + 1)  # of the vehicles of the last round
 
     @property
@@ -75,6 +77,8 @@ class Rounds:
             raise ValueError(f"all vehicles have left before round {round_number}")
         readings = [self._reading(number - 1) for number in self.numbers]
         began = time.process_time()
+        if gone := [each for each in self._forgotten if round_number == self._leaving[each]]:
+            self._posterior = forget(self._posterior, gone, self._config)
         for reading in readings:
             self._posterior = assimilate(self._posterior, reading, self._config)
         said, particles = belief(self._posterior, readings[-1], self._config)

@@ -110,6 +110,12 @@ these:
    departure does what `--after-stop` says, unless a pilot leads it. The departure brings the vehicle's readings, which may have died with it.
    Each vehicle says a departure again that it hears, once, so that it outlives the estimator. An estimator that starts asks for those that
    are kept before it takes a reading, and lets nobody leave in its first 5 s.
+9. An operator **leaves out** a vehicle by an order on `leave-out`. The estimator answers with its departure, from the next round on, with
+   `forgotten` set: the readings that the vehicle took before no longer count either. From that `step` on the belief is the one that the others'
+   readings alone give, in the order of rounds and vehicles, from the prior on. The last vehicle that is left cannot be left out.
+10. Who was on the bus and is gone from it for `--overdue` seconds before any vehicle has read leaves at step 0: the others take off. For one that
+   has not come yet all wait without end.
+11. A belief names in `doubted` the vehicles whose readings do not fit the others'. The estimator warns of them in its health.
 
 ## Late joiners
 
@@ -146,6 +152,7 @@ A refused message is dropped. It never stops a service and never changes the bel
 | `late` | a reading older than the newest one |
 | `conflicting` | a different reading with the newest one's time |
 | `left` | a reading of a vehicle that has left the search of several |
+| `order` | an order to leave out a vehicle that the search does not have, or its last one, or after the stop |
 | `repeated` | the newest reading again: it is not assimilated twice, but the belief is published again |
 | `overflow` | the oldest waiting message of a key, if more than {WAITING_MESSAGES:,} (in addition to the kept ones) or {MIB} MiB wait |
 | `fault` | a MAVLink message that the vehicle could not handle for a fault of its own |

@@ -176,9 +176,11 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         "intermittency": last.intermittency,
         "advised_dwell_s": last.advised_dwell or None,
     }
-    left = [Left(each.vehicle, each.step, each.reason) for each in survey.left.values()]
+    left = [Left(each.vehicle, each.step, each.reason, each.forgotten) for each in survey.left.values()]
     if left:
         plain["left"] = msgspec.to_builtins(left)
+    if survey.doubted:
+        plain["doubted"] = [{"vehicle": each, "step": step} for each, step in survey.doubted.items()]
     try:
         scenario = msgspec.convert(about["scenario"], Scenario)
     except (KeyError, msgspec.ValidationError):
@@ -205,6 +207,7 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         intermittency=last.intermittency,
         advised_dwell_s=last.advised_dwell,
         left=left,
+        doubted=survey.doubted,
     )
     judged = {
         "located": result.located,

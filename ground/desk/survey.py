@@ -50,6 +50,7 @@ class Survey:
         self.trace: dict[int, list[TracePoint]] = {}
         self.last: Belief | None = None  # the first belief of the last step
         self.left: dict[int, Departure] = {}  # who has left a search of several, by number
+        self.doubted: dict[int, int] = {}  # when a vehicle was named whose sensor seemed to lie: its step
         self.restarts: Counter[str] = Counter()
         # Digests of the messages of the keys whose repeats mean something.
         self._told: dict[str, set[bytes]] = {"reading": set(), "belief": set(), "agdc/stop": set()}
@@ -142,6 +143,8 @@ class Survey:
                 for number, own in by_number(message).items()
             ]
             self.answered.add(message.time_boot_ms)
+            for number in message.doubted or ():
+                self.doubted.setdefault(number, message.step)
             if self.last is None or message.step > self.last.step:
                 self.last = message
         elif isinstance(message, Departure):

@@ -46,6 +46,7 @@ class Estimator(_Settings, frozen=True):
     prior: list[Plain] = []
     vehicles: Annotated[int, Meta(ge=1, le=MOST_VEHICLES)] | None = None
     overdue: float | None = None
+    doubted: Plain | None = None
 
 
 class Agent(_Settings, frozen=True):
@@ -87,6 +88,7 @@ def words(service: str, recorded: list[str], bundle: str | None = None) -> list[
         given.setdefault("assume", "paper")  # older estimators took all but the position to be known
         if "vehicles" in given:
             given["overdue"] = 0  # who leaves the search is what the record says
+            given.pop("doubted", None)
     settings = msgspec.to_builtins(msgspec.convert(given, SETTINGS[service], strict=False))
     return as_words(settings | ({"policy": bundle} if bundle else {}))
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from link.access.roles import AGENT, BRIDGE, ESTIMATOR, EVERYBODY, OPERATOR, PAYLOAD, ROS2, VEHICLE
-from link.bus.messages import Belief, Departure, Health, Stop
+from link.bus.messages import Belief, Departure, Health, LeaveOut, Stop
 
 FRAMES = "MAVLink 2 frames"
 OF_VEHICLE = "uav/"  # the keys of a vehicle of a search begin with it, and with the vehicle's number
@@ -182,6 +182,18 @@ DEPARTURE = Key(
     writers=(ESTIMATOR, VEHICLE),
     readers=(ESTIMATOR, VEHICLE),
 )
+LEAVE_OUT = Key(
+    "leave-out",
+    LeaveOut,
+    "operator",
+    "estimator",
+    Delivery(blocking=True, express=True, kept=8),
+    "as they come",
+    "In a search by several only: an order to let a vehicle leave it. The estimator answers with its "
+    "departure.",
+    writers=(OPERATOR,),
+    readers=(ESTIMATOR,),
+)
 HEALTH = Key(
     "health/<service>",
     Health,
@@ -194,7 +206,10 @@ HEALTH = Key(
     readers=EVERYBODY,
 )
 
-KEYS = (MAVLINK_OUT, MAVLINK_IN, WAYPOINT, READING, PAYLOAD_IN, PAYLOAD_OUT, BELIEF, STOP, DEPARTURE, HEALTH)
+KEYS = (
+    *(MAVLINK_OUT, MAVLINK_IN, WAYPOINT, READING, PAYLOAD_IN, PAYLOAD_OUT),
+    *(BELIEF, STOP, DEPARTURE, LEAVE_OUT, HEALTH),
+)
 
 SEARCHERS = frozenset({"estimator", "agent"})  # the search begins when these services have joined the bus
 # First and longest real time after which an unanswered reading is sent again; it doubles each time.

@@ -151,6 +151,13 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "part in it, in their order; absent with one vehicle"
         ),
     ] = msgspec.UNSET
+    doubted: Annotated[
+        tuple[int, ...] | msgspec.UnsetType,
+        Meta(
+            description="of a search by several vehicles: the numbers of those whose readings do not fit the "
+            "others', or whose sensor is stuck; absent if there are none"
+        ),
+    ] = msgspec.UNSET
 
 
 class Contribution(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -198,6 +205,20 @@ class Departure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ]
     reason: Annotated[str, Meta(description="why, in words")]
+    forgotten: Annotated[
+        bool,
+        Meta(
+            description="true if the readings that it took before no longer count either: from `step` on the "
+            "belief is that of the others' readings alone"
+        ),
+    ] = False
+
+
+class LeaveOut(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """An order of an operator: a vehicle leaves the search by several, and its readings are forgotten."""
+
+    vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle in the search, from 1")]
+    reason: Annotated[str, Meta(max_length=200, description="who orders it, or why, in words")]
 
 
 class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -270,7 +291,8 @@ def by_vehicle(belief: Belief) -> list[Belief]:
 
 def departure_text(left: Departure) -> str:
     """Return a departure in words."""
-    return f"uav/{left.vehicle} has left the search at step {left.step}: {left.reason}"
+    forgotten = "; its readings no longer count" if left.forgotten and left.step else ""
+    return f"uav/{left.vehicle} has left the search at step {left.step}: {left.reason}{forgotten}"
 
 
 def stop_text(stop: Stop) -> str:

@@ -78,6 +78,7 @@ def add_arguments(
     cli.completed(policy, policies, "zip")
     cli.add_reach_arguments(parser)
     cli.add_filter_arguments(parser)
+    cli.add_doubted_argument(parser)
     parser.add_argument(
         "-l",
         "--listen",

@@ -1,4 +1,4 @@
-"""What a script does to processes and links: kills, restarts, cuts.
+"""What a script does to processes and links, and what it orders: kills, restarts, cuts, who is left out.
 
 Delays are real time: the speed-up does not apply to processes.
 """
@@ -10,7 +10,7 @@ from operator import itemgetter
 from sitl.launch.processes import Processes
 from sitl.launch.relay import Relay
 from sitl.launch.watchdog import Watchdog
-from sitl.script.script import Cut, Kill
+from sitl.script.script import Cut, Exclude, Kill
 
 
 class Disturbances:
@@ -23,8 +23,11 @@ class Disturbances:
         relays: Mapping[str, Relay],
         watchdog: Watchdog,
         say: Callable[[str], None],
+        leave_out: Callable[[int, str], None],
     ) -> None:
-        self._to_come = [event for event in events if isinstance(event, Kill | Cut)]
+        """Take what does it all. leave_out: orders that a vehicle leaves the search, with who says so."""
+        self._to_come = [event for event in events if isinstance(event, Kill | Cut | Exclude)]
+        self._leave_out = leave_out
         self._processes = processes
         self._relays = relays
         self._watchdog = watchdog
@@ -35,6 +38,10 @@ class Disturbances:
         """Perform the events that are due at a step and a simulation time."""
         for event in [event for event in self._to_come if _due(event, step, time_s)]:
             self._to_come.remove(event)
+            if isinstance(event, Exclude):
+                self._say(f"script: uav/{event.vehicle} is left out at step {step}")
+                self._leave_out(event.vehicle, "left out by the script")
+                continue
             self._watchdog.disturb(event.part)
             if isinstance(event, Kill):
                 self._processes.kill(event.part)
@@ -64,7 +71,7 @@ class Disturbances:
         return max(self._mends[0][0] - time.monotonic(), 0.0) if self._mends else None
 
 
-def _due(event: Kill | Cut, step: int, time_s: float) -> bool:
+def _due(event: Kill | Cut | Exclude, step: int, time_s: float) -> bool:
     if event.step is not None:
         return step >= event.step
     return event.time_s is not None and time_s >= event.time_s

@@ -156,6 +156,7 @@ class MissionHeard:
         self.left: dict[
             int, Departure
         ] = {}  # who has left the search, by number, in the order in which they did
+        self.doubted: dict[int, int] = {}  # the step at which a vehicle was named whose sensor seemed to lie
 
     def take(self, arrival: Arrival, now_s: float) -> Belief | Health | Departure | None:
         """Take a message.
@@ -196,7 +197,7 @@ class MissionHeard:
     def departures(self) -> list[Left]:
         """Who has left the search, and whose process has ended in it."""
         said = {
-            number: Left(number, each.step, self.vehicles[number - 1].ended or each.reason)
+            number: Left(number, each.step, self.vehicles[number - 1].ended or each.reason, each.forgotten)
             for number, each in self.left.items()
         }
         ended = {
@@ -255,6 +256,8 @@ class MissionHeard:
             return None
         if not all([self.vehicles[number - 1].trace.belief(said) for number, said in seen.items()]):
             return None
+        for number in belief.doubted or ():
+            self.doubted[number] = min(belief.step, self.doubted.get(number, belief.step))
         if self.last:
             if belief.step < self.last.step:
                 return None  # it was missed, and comes late

@@ -13,10 +13,20 @@ import msgspec
 from aircraft.operator import AUTOPILOT, LAUNCHER_IDS, SEARCH, order
 from aircraft.search.search import STANDBY
 from link.bus.inbox import Inbox
-from link.bus.keys import BELIEF, DEPARTURE, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEARCHERS, STOP
+from link.bus.keys import (
+    BELIEF,
+    DEPARTURE,
+    HEALTH,
+    LEAVE_OUT,
+    MAVLINK_IN,
+    MAVLINK_OUT,
+    READING,
+    SEARCHERS,
+    STOP,
+)
 from link.bus.log import LEVELS
 from link.bus.mavlink import Codec
-from link.bus.messages import Belief, Departure, Health, departure_text
+from link.bus.messages import Belief, Departure, Health, LeaveOut, departure_text
 from link.bus.session import Arrival, Bus, LivelinessChange, part_of
 from link.cli import BAD_INPUT
 from link.early import INTERRUPTED
@@ -124,7 +134,14 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
             progress.say,
             processes.tell_stacks,
         )
-        disturbances = Disturbances(mission.script.events, processes, relays, watchdog, progress.say)
+        disturbances = Disturbances(
+            mission.script.events,
+            processes,
+            relays,
+            watchdog,
+            progress.say,
+            lambda vehicle, why: bus.publish(LEAVE_OUT, LeaveOut(vehicle, why)),
+        )
         return MissionWatch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()
 
 
@@ -306,8 +323,9 @@ class MissionWatch:
 
     def _awaited(self) -> str:
         """Return what the first belief waits for."""
-        heard, uavs = self._heard, self._mission.uavs
-        states = [vehicle.state for vehicle in heard.vehicles]
+        heard = self._heard
+        searching = [vehicle for vehicle in heard.searching if not vehicle.ended]
+        uavs, states = [each.part for each in searching], [each.state for each in searching]
         if states.count("searching") == len(states):
             return "flying to the start" + "s" * (len(states) > 1)
         if busy := [state for state in states if state not in ("", "standby", "searching")]:
@@ -328,8 +346,11 @@ class MissionWatch:
                 self._watchdog.ended(part)
                 self._progress.say(f"warning: {spared}: {item.last_words}")
             case Ended(part=part) if self._goes_on_without(item):
-                next(each for each in self._heard.vehicles if each.part == part).ended = how_ended(item)
+                ended = next(each for each in self._heard.vehicles if each.part == part)
+                ended.ended = how_ended(item)
                 self._watchdog.ended(part)
+                if ended.number and self._wait_on_the_ground():
+                    self._bus.publish(LEAVE_OUT, LeaveOut(ended.number, how_ended(item)))
                 self._progress.say(f"warning: {part} {how_ended(item)}; its last words: {item.last_words}")
             case Ended(part=part) if self._spares_payload(item):  # its vehicle gives up by itself
                 self._watchdog.ended(part)
@@ -361,20 +382,21 @@ class MissionWatch:
                         self._progress.show(belief, self._heard.distance_m)
 
     def _goes_on_without(self, ended: Ended) -> bool:
-        """Whether the search goes on without a part that has ended: one of several that have begun."""
-        heard = self._heard
-        others = [each for each in heard.searching if each.flies and each.part != ended.part]
+        """Whether the search goes on without a part that has ended: one of several."""
+        others = [each for each in self._heard.searching if each.flies and each.part != ended.part]
         return (
-            ended.part in self._mission.uavs
-            and ended.status not in (INTERRUPTED, BAD_INPUT)
-            and bool(others)
-            and all(each.state not in ("", STANDBY) for each in heard.vehicles)
+            ended.part in self._mission.uavs and ended.status not in (INTERRUPTED, BAD_INPUT) and bool(others)
         )
 
     def _spares_payload(self, ended: Ended) -> bool:
         """Whether a part that has ended is the payload of one of several vehicles."""
         is_one = bool(self._mission.numbers) and ended.part in self._mission.payloads
         return is_one and ended.status not in (INTERRUPTED, BAD_INPUT)
+
+    def _wait_on_the_ground(self) -> bool:
+        """Whether some of several vehicles may still wait for the others to be there."""
+        begun = self._heard.last is not None
+        return not begun and any(each.state in ("", STANDBY) for each in self._heard.vehicles)
 
     def _introduce(self) -> None:
         """Say what is flown, once the search has begun; from then on its record counts."""
@@ -484,6 +506,7 @@ class MissionWatch:
             last_word=heard.last_word(last),
             home=self._mission.origin or (heard.home if self._mission.real else self._mission.home),
             left=heard.departures,
+            doubted=heard.doubted,
         )
         located = bool(result.located)
         came_true = {

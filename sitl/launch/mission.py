@@ -17,7 +17,17 @@ from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, Scenario
 from sitl.launch.watchdog import PATIENCE_S
 from sitl.script.options import ORIGIN_WANTED
-from sitl.script.script import AgentPart, Cut, EstimatorPart, Expectation, Kill, Lawnmower, Script, Waypoints
+from sitl.script.script import (
+    AgentPart,
+    Cut,
+    EstimatorPart,
+    Exclude,
+    Expectation,
+    Kill,
+    Lawnmower,
+    Script,
+    Waypoints,
+)
 from sitl.uav.options import at_own_home, longest_wait_s
 
 # Expectations that need the source's true position.
@@ -175,6 +185,7 @@ def estimator_arguments(mission: Launch) -> list[str]:
         "--sysid": mission.system,
         "--vehicles": mission.fleet.vehicles if mission.numbers else None,
         "--overdue": _overdue_s(mission) if mission.numbers else None,
+        "--doubted": part.doubted if mission.numbers else None,
         "--prior": [f"{name}={prior}" if prior else name for name, prior in part.prior.items()],
     }
     return _words(flags)
@@ -236,7 +247,12 @@ def check_fleet(
     given: the flags that stand on the command line.  origin: of the area, latitude and longitude, degrees.
     """
     for number, event in enumerate(script.events):
-        if isinstance(event, OfVehicle) and event.vehicle and event.vehicle > fleet.vehicles:
+        if fleet.vehicles == 1 and isinstance(event, Exclude):
+            raise BadInput(
+                f"MISSION: events[{number}], leave-out, cannot happen: one vehicle flies; wanted "
+                "--vehicles, or fleet.vehicles, of 2 or more"
+            )
+        if isinstance(event, OfVehicle | Exclude) and event.vehicle and event.vehicle > fleet.vehicles:
             raise BadInput(
                 f"MISSION: events[{number}].vehicle: {event.vehicle} is not allowed; "
                 f"wanted 1 to {fleet.vehicles}, as many fly"

@@ -38,6 +38,7 @@ FIELDS = {
     "margin": "estimator.margin_m",
     "assume": "estimator.assume",
     "stop": "estimator.stop",
+    "doubted": "estimator.doubted",
     "after_stop": "vehicle.after_stop",
     "strict": "vehicle.strict",
 }

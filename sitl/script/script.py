@@ -171,6 +171,10 @@ class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     rate: Annotated[
         Rate | None, _says("q", "release rate assumed by the estimator, by default the scenario's", "g/s")
     ] = None
+    doubted: Annotated[
+        Literal["name", "leave-out"],
+        Meta(description="what happens to a vehicle whose sensor seems to lie, as --doubted"),
+    ] = "name"
     diffusivity: Annotated[
         Diffusivity | None,
         _says("d", "diffusivity assumed by the estimator, by default the scenario's", "m²/s"),
@@ -245,6 +249,14 @@ class Kill(ScriptEvent, frozen=True, tag="kill"):
     restart_after_s: Annotated[Seconds, Meta(description="a number from 0: real time, s")] = 0.0
 
 
+class Exclude(ScriptEvent, frozen=True, tag="leave-out"):
+    """The operator lets a vehicle leave the search by several, and its readings are forgotten."""
+
+    vehicle: Annotated[
+        int, Meta(ge=1, le=64, description="number of the vehicle, of several, that leaves the search")
+    ]
+
+
 class Cut(ScriptEvent, frozen=True, tag="cut"):
     """The link between a part and the router carries nothing for a while; neither end is notified."""
 
@@ -291,7 +303,7 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ] = AS_MODELLED
     estimator: EstimatorPart = EstimatorPart()
     agent: AgentPart = AgentPart()
-    events: list[OnBoard | Waypoints | Lawnmower | Kill | Cut] = []
+    events: list[OnBoard | Waypoints | Lawnmower | Exclude | Kill | Cut] = []
     expect: Annotated[
         Expectation | list[Expectation],
         Meta(description="what must hold at the end; decides the exit status"),

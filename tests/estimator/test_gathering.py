@@ -12,10 +12,10 @@ from estimator import roll, service
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from estimator.roll import Attendance
-from link.bus.keys import BELIEF, DEPARTURE, READING
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH, LEAVE_OUT, READING
 from link.bus.mavlink import Codec, Reading, pack_reading
-from link.bus.messages import Belief, Departure, Health, pack_particles
-from link.bus.session import Arrival
+from link.bus.messages import Belief, Departure, Health, LeaveOut, pack_particles
+from link.bus.session import Arrival, LivelinessChange
 from tests.fuzz.services import QuietBus, until_all_are_taken
 
 CONFIG = Config(50)
@@ -225,3 +225,75 @@ def test_who_has_left_and_whose_readings_never_come_does_not_leave_again(
     bus = QuietBus(arrival(1, 0), left, *[arrival(1, number) for number in range(1, 8)])
     until_all_are_taken(lambda: service.run(bus, CONFIG, [None, None], 20.0))
     assert bus.published == []  # the round still waits, and nobody is said to have left once more
+
+
+# ---- vehicles that are left out ----
+
+
+def left_out(vehicle: int) -> Arrival:
+    return Arrival(LEAVE_OUT, msgspec.json.encode(LeaveOut(vehicle, "left out by an operator")), b"")
+
+
+def departures(bus: QuietBus) -> list[Departure]:
+    return [
+        msgspec.json.decode(message, type=Departure) for key, message, _ in bus.published if key is DEPARTURE
+    ]
+
+
+def test_who_is_left_out_leaves_from_the_next_round_on_and_its_readings_are_forgotten() -> None:
+    bus = estimated(3, *OF_THREE[:8], left_out(3), *OF_THREE[8:])
+    assert departures(bus) == [Departure(3, 2, "left out by an operator", forgotten=True)]
+    vehicles = [[taken.vehicle for taken in each.readings or ()] for each in said(bus)]
+    assert vehicles == [[1, 2, 3], [1, 2, 3], [1, 2], [1, 2]]
+    posterior, expected = prior(CONFIG), []
+    for number in range(4):
+        for vehicle in (1, 2):
+            posterior = assimilate(posterior, taken(vehicle, number), CONFIG)
+        expected.append(belief(posterior, taken(2, number), CONFIG)[0].mean)
+    means = [each.mean for each in said(bus)]
+    assert means[2:] == expected[2:]  # as if it had never been there
+    assert means[:2] != expected[:2]
+
+
+def test_a_reading_of_who_is_left_out_that_waits_for_its_round_is_in_no_belief() -> None:
+    undisturbed = said(estimated(3, *OF_THREE[:6], left_out(3), *OF_THREE[6:]))
+    bus = estimated(3, *OF_THREE[:6], OF_THREE[8], left_out(3), *OF_THREE[6:])
+    assert [each.mean for each in said(bus)] == [each.mean for each in undisturbed]
+
+
+@pytest.mark.parametrize("vehicle", [1, 2, 3])
+def test_an_estimator_that_starts_again_says_the_same_of_a_search_that_one_was_left_out_of(
+    vehicle: int,
+) -> None:
+    bus = estimated(3, *OF_THREE[:8], left_out(vehicle), *OF_THREE[8:])
+    message, frames = next(said for key, *said in bus.published if key is DEPARTURE)
+    told = Arrival(DEPARTURE, message, frames, name="departure")
+    others = [each for each in OF_THREE if each.vehicle != vehicle]
+    again = estimated(3, told, *others, left_out(vehicle))
+    assert [each for each in again.published if each[0] is BELIEF] == [
+        each for each in bus.published if each[0] is BELIEF
+    ]
+
+
+def test_an_order_that_cannot_be_is_refused() -> None:
+    bus = estimated(2, left_out(3), *IN_ORDER[:2], left_out(1), left_out(2), left_out(1), *IN_ORDER[2:])
+    assert [each.vehicle for each in departures(bus)] == [1]  # said again it is no news
+    assert dict(bus.tally.refused) == {"order": 2, "left": 2}
+
+
+# ---- one that is lost before all have taken off ----
+
+
+def alive(vehicle: int, is_alive: bool = True) -> LivelinessChange:
+    return LivelinessChange(f"uav/{vehicle}", is_alive)
+
+
+def test_who_was_there_and_is_gone_is_not_waited_for_on_the_ground_without_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ticks = itertools.count(0, 3)
+    monkeypatch.setattr(roll, "now_s", lambda: float(next(ticks)))
+    nothing = [Arrival(HEALTH, b"", b"", name="health/none")] * 20
+    bus = QuietBus(alive(1), alive(2), alive(2, False), *nothing)
+    until_all_are_taken(lambda: service.run(bus, CONFIG, [None] * 3, 20.0))
+    assert departures(bus) == [Departure(2, 0, "gone from the bus for 20 s")]  # the third may still come

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.repeats import REPEATS, way_back
+from estimator.belief import REPEATS, way_back
 
 HERE, THERE = (3.0, 4.0), (6.0, 8.0)
 HOPS = [HERE, THERE] * (REPEATS // 2)

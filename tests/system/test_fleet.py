@@ -264,6 +264,71 @@ def test_the_record_of_a_search_that_was_left_is_verified_and_told_as_it_was(
     assert len(rows) == 1 + len(lost.outcome["trace"])
 
 
+# ---- a sensor that lies, and one that dies on the ground ----
+
+LYING = """
+{seed: 4, speedup: 10, fleet: {vehicles: 3, formation: corners}, estimator: {particles: 300, doubted: leave-out},
+events: [{step: 3, do: stuck, readings: 1000, vehicle: 2}, {step: 12, do: leave-out, vehicle: 2}]}
+"""
+
+
+def test_a_sensor_that_lies_is_named_and_left_out_and_the_record_is_verified(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "lying.yaml").write_text(LYING)
+    part = Part("sitl", "fly", "lying.yaml", "--record", "lying.mcap", "--json", "--trace", cwd=tmp_path)
+    assert part.ended() == 0, part.err
+    outcome = json.loads(part.out[-1])
+    # It repeats its reading 2, so that reading 4 is the third of the same value. The order comes too late.
+    assert outcome["doubted"] == [{"vehicle": 2, "step": 4}]
+    reason = "its readings do not fit those of the others"
+    assert outcome["left"] == [{"vehicle": 2, "step": 5, "reason": reason, "forgotten": True}]
+    assert "the readings of uav/2 do not fit those of the others" in "".join(part.err)
+    status, out, err = run_sitl(
+        monkeypatch, capsys, "replay", str(tmp_path / "lying.mcap"), "--verify", "--speedup", "0"
+    )
+    assert status == 0, err
+    assert f"verified: {outcome['steps'] + 1} beliefs" in "\n".join([*out, *err])
+
+
+def test_one_that_dies_on_the_ground_is_left_behind(
+    start: type[Part], router: str, watched: "Watched", wait_until: Callable
+) -> None:
+    parts = commands(router, overdue="2")
+    dying = start(*parts["uav/2"])
+    start(*parts["estimator"])
+    # The estimator has to see it before it dies: for one that it has never seen all wait without end.
+    wait_until(lambda: watched.take() == -1 and {"uav/2", "estimator"} <= set(watched.states))
+    dying.kill()
+    for part in ("agent", "uav/1"):
+        start(*parts[part])
+    while not watched.points:
+        watched.take()
+    (left,) = watched.left.values()
+    assert (left.vehicle, left.step, left.forgotten) == (2, 0, False)
+    assert len(watched.points[0]) == 1
+
+
+def test_an_operators_order_leaves_a_vehicle_out(
+    start: type[Part],
+    router: str,
+    watched: "Watched",
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for words in commands(router).values():
+        start(*words)
+    while watched.take() < 3:
+        pass
+    status, _, err = run_sitl(monkeypatch, capsys, "leave-out", "3", "-e", router)
+    assert (status, "wanted one of uav/1, uav/2" in "".join(err)) == (2, True)
+    status, out, _ = run_sitl(monkeypatch, capsys, "leave-out", "2", "-e", router)
+    assert status == 0
+    assert "uav/2 has left the search at step" in out[0]
+    status, _, err = run_sitl(monkeypatch, capsys, "leave-out", "1", "-e", router)
+    assert (status, "has not left within 5 s" in "".join(err)) == (1, True)  # it is the only one left
+
+
 # ---- services that die ----
 
 SEED = 4

@@ -52,6 +52,7 @@ RIGHTS = {  # by hand: who publishes, and who receives beside operators and obse
     "belief": ({"estimator"}, {"agent", "vehicle", "ros2"}),
     "agdc/stop": ({"estimator"}, {"vehicle", "agent", "payload", "bridge", "ros2"}),
     "departure": ({"estimator", "vehicle"}, {"estimator", "vehicle"}),
+    "leave-out": ({"operator"}, {"estimator"}),
     "health/estimator": ({"estimator"}, set(EVERYBODY)),
     "health/uav": ({"vehicle"}, set(EVERYBODY)),
     "payload/in": ({"vehicle"}, {"payload"}),
@@ -65,7 +66,7 @@ def name_of(role: str, vehicle: int = 1) -> str:
     return f"uav/{vehicle}/{role}" if role in ROLES else role
 
 
-OF_THE_SEARCH = {"waypoint", "belief", "agdc/stop", "departure", "health/estimator"}
+OF_THE_SEARCH = {"waypoint", "belief", "agdc/stop", "departure", "leave-out", "health/estimator"}
 """What a search of several has one of; of all else each of its vehicles has its own."""
 
 
