@@ -159,19 +159,6 @@ def test_ctrl_c_ends_all_vehicles_and_leaves_nothing_behind(
     wait_until(lambda: all(map(has_ended, parts)))
 
 
-def test_a_vehicle_that_dies_before_the_search_ends_the_mission(start: type[Part], tmp_path: Path) -> None:
-    part = start(
-        "sitl", "fly", "--vehicles", "2", "--policy", "random", "--speedup", "4", "--particles", "100", "--no-record",
-        "--assume", "paper", cwd=tmp_path,
-    )  # fmt: skip
-    vehicles: dict[str, int] = {}
-    while len(vehicles) < 2:
-        vehicles = processes_of(part)
-    os.kill(vehicles["2"], signal.SIGKILL)
-    assert part.ended() == 1
-    assert "error: uav/2 was killed by signal 9" in part.err[-1]
-
-
 def processes_of(part: Part) -> dict[str, int]:
     """The processes of the vehicles of a mission, by their numbers."""
     found = {}
