@@ -5,7 +5,6 @@ process that stays behind.
 import csv
 import json
 import math
-import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
