@@ -147,6 +147,7 @@ class GasSensor:
     keys: tuple[Key, ...] = ()  # on which it is answered
     dwell_s = 0.0  # that the vehicle hovers before it measures
     among = 1  # how many vehicles began to search together, itself included
+    waits_for = ""  # what it waits for before its vehicle is there for a search of several
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured | None:
         """Take reading `number`; None: the values come later, through `take`."""

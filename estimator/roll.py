@@ -85,6 +85,7 @@ class Roll:
         systems: the MAVLink system id of each vehicle, None where it is not known yet.
         """
         self.left: list[Departure] = []
+        self.vehicles = len(systems)  # that began
         self._bus, self._rounds, self._systems, self._config = bus, rounds, systems, config
         self._several = len(systems) > 1
         self._attendance = Attendance(overdue_s)

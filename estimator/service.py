@@ -133,9 +133,13 @@ def _judge(bus: Bus, said: Belief, config: Config) -> None:
 
 
 def _about(config: Config, roll: Roll) -> str:
-    """Return what it runs with, and without whom."""
-    without = f", without {', '.join(f'uav/{each.vehicle}' for each in roll.left)}" if roll.left else ""
-    return f"{config.particles} particles, assume {config.assume}, stop {config.criterion.text}{without}"
+    """Return what it runs with, for how many vehicles, and without whom."""
+    parts = [f"{config.particles} particles", f"assume {config.assume}", f"stop {config.criterion.text}"]
+    if roll.vehicles > 1:
+        parts.append(f"{roll.vehicles} vehicles")
+    if roll.left:
+        parts.append(f"without {', '.join(f'uav/{each.vehicle}' for each in roll.left)}")
+    return ", ".join(parts)
 
 
 def _begin(bus: Bus, config: Config, roll: Roll) -> None:

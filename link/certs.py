@@ -9,7 +9,7 @@ from pathlib import Path
 from link import cli
 from link.access.authority import CA, CA_DAYS, ROUTER_NAMES, Made, host, make, risks
 from link.access.identity import AccessError
-from link.access.roles import MOST_VEHICLES
+from link.access.roles import MOST_IN_A_SEARCH, MOST_SEARCHES, MOST_VEHICLES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,6 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[1],
         metavar="N,N",
         help="the vehicles, by the number in uav/N (default: 1)",
+    )
+    parser.add_argument(
+        "--search",
+        type=cli.whole(1, MOST_SEARCHES),
+        metavar="S",
+        help="the vehicles search together, with fly --vehicles: they are those of search/S, which gets an "
+        "estimator and an agent",
     )
     parser.add_argument(
         "--router",
@@ -46,8 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make what is missing and list what there is."""
+    if args.search and (highest := max(args.vehicles)) > MOST_IN_A_SEARCH:
+        wanted = f"wanted whole numbers from 1 to {MOST_IN_A_SEARCH}"
+        print(f"error: --vehicles: {highest} is not allowed with --search; {wanted}", file=sys.stderr)
+        return cli.BAD_INPUT
     try:
-        made = make(args.folder, args.vehicles, args.router, args.days, force=args.force)
+        made = make(args.folder, args.vehicles, args.router, args.days, search=args.search, force=args.force)
     except (AccessError, OSError) as error:
         told = (
             f"cannot write {error.filename or args.folder}: {error.strerror}"

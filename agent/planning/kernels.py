@@ -238,18 +238,36 @@ def imagine(
         earlier = before if step > 0 else none
         last, nothing = np.empty((2, number)), np.empty((0, count))
         _read(
-            *(means_before[step], readings_before[step], nothing, predictor, scratch),
-            *(earlier, totals_before, before, totals_before, last, np.empty((number, 0))),
+            means_before[step],
+            readings_before[step],
+            nothing,
+            predictor,
+            scratch,
+            earlier,
+            totals_before,
+            before,
+            totals_before,
+            last,
+            np.empty((number, 0)),
         )
         gains_before = last[1] - last[0]
     for a in range(paths):
         for step in range(length):
             earlier, sums = (along, totals) if step > 0 else (before, totals_before)
             later = along if step + 1 < length else none
+            seen = values[min(a, len(values) - 1), min(step, values.shape[1] - 1)]
             _read(
-                *(means[a, step], readings[a, step]),
-                *(values[min(a, len(values) - 1), min(step, values.shape[1] - 1)], predictor, scratch),
-                *(earlier, sums, later, totals, said[a, step], expectations[a, step]),
+                means[a, step],
+                readings[a, step],
+                seen,
+                predictor,
+                scratch,
+                earlier,
+                sums,
+                later,
+                totals,
+                said[a, step],
+                expectations[a, step],
             )
     log_predictive, log_likelihood = said[:, :, 0].copy(), said[:, :, 1].copy()
     return log_predictive, log_likelihood, expectations, gains_before

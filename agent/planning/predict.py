@@ -185,7 +185,7 @@ def imagine_along(
         of_path[:] = draw(along)
     if values is None:
         values = np.empty((1, 1, 0, len(cumulative)))
-    *said, gains_before = kernels.imagine(
+    log_predictive, log_likelihood, expectations, gains_before = kernels.imagine(
         *(
             means,
             hypotheses.weights,
@@ -197,7 +197,7 @@ def imagine_along(
         ),
         *(means_before, readings_before),
     )
-    return Imagined(*said, means, noises, gains_before)
+    return Imagined(log_predictive, log_likelihood, expectations, means, noises, gains_before)
 
 
 def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Generator) -> Array:

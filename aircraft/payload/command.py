@@ -11,6 +11,7 @@ from aircraft.payload.options import SIMULATED, add_payload_argument
 from aircraft.payload.simulated import Simulated
 from link import cli
 from link.bus.inbox import Inbox
+from link.bus.keys import OF_VEHICLE
 from link.bus.log import Log
 from link.bus.session import Bus
 from plume.scenario import WorldError
@@ -23,6 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags, but for those of the simulated world."""
     add_payload_argument(parser)
     cli.add_bus_arguments(parser)
+    parser.add_argument(
+        "--number",
+        type=cli.whole(1, cli.MOST_VEHICLES),
+        metavar="K",
+        help="in the namespace of a search by several, the number of its vehicle",
+    )
 
 
 def run(args: argparse.Namespace, world: World) -> int:
@@ -31,13 +38,23 @@ def run(args: argparse.Namespace, world: World) -> int:
         flag = "MISSION" if idle[0] == "mission" else f"--{idle[0]}"
         raise cli.BadInput(f"{flag}: only with --payload {SIMULATED}; {args.payload} measures what there is")
     inbox = Inbox()
+    vehicles = [args.number] * bool(args.number)
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(
-            Bus("payload", args.connect, args.namespace, inbox, args.log_level, secure=args.secure)
+            Bus(
+                "payload",
+                args.connect,
+                args.namespace,
+                inbox,
+                args.log_level,
+                secure=args.secure,
+                vehicles=vehicles,
+            )
         )
-        bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
+        own = "".join(f"/{OF_VEHICLE}{number}" for number in vehicles)
+        bus.log.info(f"on the bus at {args.connect} as {args.namespace}{own}")
         bus.tally.about = args.payload
-        measure: Measure = sensor_in(world, bus.log)
+        measure: Measure = sensor_in(world.of_vehicle(args.number or 1), bus.log)
         if args.payload != SIMULATED:
             try:
                 driver = make(args.payload, bus.log)

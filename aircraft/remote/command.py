@@ -32,7 +32,7 @@ def run(args: argparse.Namespace, orders: Orders, config: AircraftConfig) -> int
             log.warning(risk)
         commander = Commander(connection, orders.speedup, args.sysid, Handling(log).of)
         launched = LAUNCHER in os.environ
-        vehicle = RemoteVehicle(config, commander, wait_s=args.wait, launched=launched)
+        vehicle = RemoteVehicle(config, commander, args.wait, launched=launched, berth=orders.berth)
         return real_uav(vehicle, orders, equipment, parse_wind(args.wind) if args.wind else None)
 
     return fly(args, orders, make)
@@ -47,8 +47,10 @@ def real_uav(
     """
     clock, _, bus, say, outs, signing = equipment
     assert bus is not None
-    search = Search(vehicle, orders.world.start, orders.after_stop, say)
+    berth = orders.berth
+    search = Search(vehicle, berth.start if berth else orders.world.start, orders.after_stop, say)
     clients = RealClients(vehicle, search, bus, outs, clock, Handling(say.log), signing)
-    sensor = AskedSensor(vehicle, bus, Winds(wind, orders.world.wind, say))
+    vehicles = 1 + len(berth.others) if berth else 1
+    sensor = AskedSensor(vehicle, bus, Winds(wind, orders.world.wind, say), vehicles, orders.number or 1)
     sensor.dwell_s = orders.world.sensor.dwell
     return Uav(search, clients, sensor, equipment, orders.events)

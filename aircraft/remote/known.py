@@ -10,10 +10,12 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.firmware import ARDUCOPTER, FIRMWARES, POSITION_GOOD, Firmware, stands
 from aircraft.remote.glitches import Fix, Glitches
+from aircraft.search.together import Berth
 from aircraft.state import ZERO, Ned, as_float32
 from link.bus.mavlink import Message, Texts
 from link.modes import Mode
 from plume.geodesy import home_from, to_local
+from plume.problem import AREA, Area
 
 LOST_S = 3.0  # time without a HEARTBEAT after which the link counts as lost; it comes once a second
 STALE_S = 1.0  # time after which a position is too old to act on
@@ -76,12 +78,15 @@ class Known:
     boot_ms: int = 0  # the autopilot's clock when it last told its position or attitude
     boots: int = 0  # how often that clock has begun anew
     came_s: dict[int, float] = field(default_factory=dict)  # when each message type last came, by number
+    # Its place among several that search together, and their area; None: it searches alone.
+    berth: Berth | None = None
+    area: Area = AREA
     # Where home is meant to be, latitude and longitude in degrees, and how far from there it may be, m.
     home_meant: tuple[float, float] | None = None
     home_within_m: float = math.inf
     _texts: Texts = field(default_factory=Texts)
     _breach: tuple[int, int] = (0, 0)  # whether the fence is breached, and how often it was
-    _corner: Ned = ZERO  # of the search area; known once home and origin are
+    _corner: Ned = ZERO  # the search area's origin; known once home and the EKF's origin are
 
     def take(self, message: Message, now_s: float) -> None:
         """Take a message of this vehicle's autopilot."""
@@ -225,7 +230,11 @@ class Known:
     @property
     def misplaced(self) -> str:
         """Why its home is not where the area was drawn for; empty if it is, or is not known."""
-        if self.home is None or self.home_meant is None:
+        if self.home is None or self.origin is None:
+            return ""
+        if self.berth:
+            return self.berth.misplaced(self.home_place, self.area)
+        if self.home_meant is None:
             return ""
         (lat, lon, _), (meant_lat, meant_lon) = self.home, self.home_meant
         north, east = to_local(meant_lat, meant_lon, lat, lon)
@@ -251,9 +260,9 @@ class Known:
     # ---- where the search area is ----
 
     def place_area(self) -> None:
-        """Place the area at home, once that is known."""
+        """Place the area at home or at its own origin, at home's height, once home is known."""
         if self.origin is not None and self.home is not None:
-            self._corner = self.to_home()
+            self._corner = self.to_area()
 
     @property
     def _area_at(self) -> Ned:
@@ -280,6 +289,25 @@ class Known:
         if self.origin is None or self.home is None:
             raise ValueError("origin and home are not known yet")
         return home_from(self.origin, self.home)
+
+    @property
+    def area_origin(self) -> tuple[float, float] | None:
+        """The area's origin, latitude and longitude in degrees; None: it is home."""
+        return self.berth.origin if self.berth else None
+
+    def to_area(self) -> Ned:
+        """Return where the area's origin is in the EKF's frame. Raises ValueError as `to_home` does."""
+        home = self.to_home()
+        if self.origin is None or self.area_origin is None:
+            return home
+        north, east, _ = home_from(self.origin, (*self.area_origin, self.origin[2]))
+        return north, east, home[2]
+
+    @property
+    def home_place(self) -> tuple[float, float]:
+        """Where home is in the area's frame, (x, y) m. Raises ValueError as `to_home` does."""
+        (north, east, _), (area_north, area_east, _) = self.to_home(), self.to_area()
+        return east - area_east, north - area_north
 
     @property
     def on_ground(self) -> bool:

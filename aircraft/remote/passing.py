@@ -111,9 +111,16 @@ class RealClients:
         return max(self._beat_at_s - time.monotonic(), 0.0) if self.system else BEAT_S
 
     def changed(self) -> None:
-        """Tell that the search is there."""
+        """Tell that the search is there, and where its area's origin is, if that is not home."""
         self._beat_at_s = time.monotonic() + BEAT_S
         self.send(companion_heartbeat(mavlink.MAV_STATE_ACTIVE))
+        if (origin := self._vehicle.area_origin) is not None:
+            lat_deg, lon_deg, altitude_m = origin
+            self.send(
+                mavlink.MAVLink_gps_global_origin_message(
+                    round(lat_deg * 1e7), round(lon_deg * 1e7), round(altitude_m * 1000)
+                )
+            )
 
     def tell(self, severity: int, text: str) -> None:
         """Tell a text."""

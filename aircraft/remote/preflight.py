@@ -11,7 +11,9 @@ from pymavlink.dialects.v20 import all as mavlink
 from aircraft.remote.commander import Steps
 from aircraft.remote.procedures import ENDED, Procedures
 from aircraft.remote.safety import ASKED, Check, Verdict, checks
+from aircraft.search.together import Place
 from aircraft.state import LOW_BATTERY, AircraftConfig, VehicleFailed
+from link.bus.keys import OF_VEHICLE
 from plume.problem import Area
 
 READY_S = 3.0  # the battery, and whether it would arm, are waited for this long once its place is known
@@ -22,9 +24,10 @@ STILL_READING = "its parameters are being read"
 WAITING = "Waiting for the autopilot: "
 
 
-def farthest_m(area: Area) -> float:
-    """Return how far from home a vehicle flies in an area."""
-    return max(math.hypot(x, y) for x in (area.low[0], area.high[0]) for y in (area.low[1], area.high[1]))
+def farthest_m(area: Area, home: Place = (0.0, 0.0)) -> float:
+    """Return how far from home, (x, y) m, a vehicle flies in an area."""
+    corners = ((x, y) for x in (area.low[0], area.high[0]) for y in (area.low[1], area.high[1]))
+    return max(math.dist(home, corner) for corner in corners)
 
 
 def lies(area: Area) -> str:
@@ -39,7 +42,12 @@ class Preflight:
     """The list before arming, and the wait for its start. Times in s of the vehicle's clock."""
 
     def __init__(
-        self, flight: Procedures, config: AircraftConfig, wait_s: float = math.inf, *, launched: bool = False
+        self,
+        flight: Procedures,
+        config: AircraftConfig,
+        wait_s: float = math.inf,
+        *,
+        launched: bool = False,
     ) -> None:
         """Take the vehicle and what is flown.
 
@@ -70,6 +78,11 @@ class Preflight:
             return f"battery: {battery.text}"
         return self._pilot
 
+    @property
+    def unready(self) -> str:
+        """What is missing before it could be armed, the wind of its readings too; empty if nothing."""
+        return self.missing or ("" if self._wind else UNANSWERED)
+
     def look(self) -> None:
         """Go on reading what the list needs."""
         if self._flight.commander.system and not self._known_all:
@@ -90,7 +103,7 @@ class Preflight:
         Once all of the list is known, it is told first.
         """
         if not self._known_all or self._told:
-            return self.missing or ("" if self._wind else UNANSWERED)
+            return self.unready
         if self._wind:
             self._tell()
             return STILL_READING
@@ -115,8 +128,11 @@ class Preflight:
             raise VehicleFailed(self._wind.text)
         why = [waits_for.removeprefix(WAITING)]
         if absent:
-            services = f"no {', '.join(sorted(absent))}: the first lines of this log say how to start it"
-            why = [self.missing, "" if self._launched else services]
+            others = sorted(each for each in absent if each.startswith(OF_VEHICLE))
+            services = ", ".join(sorted({*absent} - {*others}))
+            services = f"no {services}: the first lines of this log say how to start it" if services else ""
+            others_wait = f"{', '.join(others)} not ready to take off" if others else ""
+            why = [self.missing, "" if self._launched else services, others_wait]
         elif self._flight.arming:
             why.append(self._known.warned(self._flight.now_s - REFUSED_S))
         elif self._known.armed:
@@ -146,8 +162,13 @@ class Preflight:
         place = Check("position and home", Verdict.FORBIDS, known.unplaced(self._flight.now_s))
         if known.home and not place.text:
             (north, east, _), (lat, lon, _) = known.to_home(), known.home
+            of_home, from_there = "home, ", ""
+            if known.area_origin:
+                lat, lon = known.area_origin
+                of_home, (x, y) = "", known.home_place
+                from_there = f" (--home); the vehicle's own home is ({x:.2f}, {y:.2f}) m east, north of there"
             where = (
-                f"the area {lies(config.area)} of home, {lat:.7f}, {lon:.7f}; "
+                f"the area {lies(config.area)} of {of_home}{lat:.7f}, {lon:.7f}{from_there}; "
                 f"home is ({north:.2f}, {east:.2f}) m north, east of the EKF's origin"
             )
             place = Check("position and home", Verdict.OK, where)
@@ -156,7 +177,11 @@ class Preflight:
             lines += [Check(about, Verdict.FORBIDS, why)] * bool(why)
         lines.append(self._wind or Check("wind", Verdict.FORBIDS, UNANSWERED))
         return lines + checks(
-            known.firmware, known.parameters, system, farthest_m(config.area), config.takeoff_altitude_m
+            known.firmware,
+            known.parameters,
+            system,
+            farthest_m(config.area, known.home_place if known.home and known.origin else (0.0, 0.0)),
+            config.takeoff_altitude_m,
         )
 
     @property

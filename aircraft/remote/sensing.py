@@ -9,9 +9,10 @@ from aircraft.operator import SEARCH
 from aircraft.payload.messages import pack_question, unpack_answer
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.remote.winds import Winds
+from aircraft.search.together import Together
 from aircraft.state import Arrived, Ned
 from link.bus.backoff import Backoff
-from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, RESEND_FIRST_S, RESEND_LAST_S
+from link.bus.keys import OF_VEHICLE, PAYLOAD_IN, PAYLOAD_OUT, RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.mavlink import Codec
 from link.bus.session import Bus
 
@@ -23,11 +24,17 @@ class AskedSensor(GasSensor):
     doubled or late, and the payload may start again.
     """
 
-    services = GasSensor.services | {"payload"}
     keys = (PAYLOAD_OUT,)
 
-    def __init__(self, vehicle: RemoteVehicle, bus: Bus, winds: Winds) -> None:
+    def __init__(
+        self, vehicle: RemoteVehicle, bus: Bus, winds: Winds, vehicles: int = 1, number: int = 1
+    ) -> None:
+        """Take the vehicle, how many search together with it, itself included, and its number there."""
         self._vehicle, self._bus, self._winds = vehicle, bus, winds
+        self._together, self.among, self._number = Together(vehicles), vehicles, number
+        self._payload = "payload" if vehicles == 1 else f"payload/{number}"
+        self._announced = vehicles == 1
+        self._wants_others()
         self._codec = Codec(0, SEARCH)
         self._open: tuple[int, bytes] | None = None  # time_boot_ms of the question, and its frames
         self._repeating = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
@@ -37,10 +44,27 @@ class AskedSensor(GasSensor):
         """Ask whether the payload measures the wind: before that is known there is no flight."""
         vehicle = self._vehicle
         undecided = self._winds.source is None and self._open is None
-        if undecided and vehicle.preflight.has_read and not absent:
+        if undecided and vehicle.preflight.has_read and self._payload not in absent:
             self._codec = Codec(vehicle.system, SEARCH)
             self._ask(round(vehicle.now_s * 1000), 0, vehicle.flight.known.place)
         vehicle.preflight.bound(waits_for, absent)
+        self.waits_for = "" if self._announced else vehicle.preflight.unready
+        if not (self._announced or self.waits_for):  # now the others may take off
+            self._bus.announce()
+            self._announced = True
+
+    def takes_part(self, step: int) -> int:
+        """Return how many vehicles take part in a round."""
+        return len(self._together.here(step)) if self.among > 1 else 1
+
+    def leaves(self, vehicle: int, step: int) -> None:
+        """Learn that a vehicle has left the search. It is not waited for."""
+        self._together.leaves(vehicle, step)
+        self._wants_others()
+
+    def _wants_others(self) -> None:
+        """Wait for those that are left, and for its own payload: its own token says when it can take off."""
+        self.services = self._together.services - {f"{OF_VEHICLE}{self._number}"} | {self._payload}
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> None:
         """Ask for reading `number`. An open question is replaced: its answer no longer counts."""

@@ -7,9 +7,11 @@ from pymavlink.dialects.v20 import all as mavlink
 from aircraft.firmware import COMING_DOWN
 from aircraft.remote.commander import Commander
 from aircraft.remote.course import SPEED_MPS, Course
+from aircraft.remote.known import Global
 from aircraft.remote.preflight import WAITING, Preflight
 from aircraft.remote.procedures import Procedures
 from aircraft.remote.watch import Watch
+from aircraft.search.together import Berth
 from aircraft.state import (
     ACCEPTED,
     AircraftConfig,
@@ -33,7 +35,7 @@ WIND_S = 5.0  # a wind that was told longer ago is not known
 class RemoteVehicle:
     """One real multirotor, or its own simulator.
 
-    Positions are NED, m from the search area's south-west corner, which is home.
+    Positions are NED, m from the origin of the search area, which is home unless a berth has another.
 
     No call waits: a command begins, `mode` shows what is being done, and `advance` tells what comes of it.
     Times are s of the caller's clock, which runs as fast as the vehicle's own simulator. Setpoints go out
@@ -51,12 +53,14 @@ class RemoteVehicle:
         wait_s: float = math.inf,
         *,
         launched: bool = False,
+        berth: Berth | None = None,
     ) -> None:
         """Take the conversation with a vehicle, which need not be there yet.
 
         `config` says how high and how far it may fly.
 
         wait_s, launched: how long the search's begin is waited for, as `Preflight` says.
+        berth: its place among several that search together.
         """
         self.config = config
         self.is_searched = False  # whether its search leads it
@@ -64,6 +68,7 @@ class RemoteVehicle:
         self.flight = Procedures(commander)
         self.preflight = Preflight(self.flight, config, wait_s, launched=launched)
         self._commander, self._known = commander, commander.known
+        self._known.berth, self._known.area = berth, config.area
         self._known.home_meant, self._known.home_within_m = config.home_meant, config.home_within_m
         self._watch = Watch(self.flight)
         self.course = Course(self.flight, config)
@@ -151,6 +156,12 @@ class RemoteVehicle:
     def waypoint(self) -> Ned | None:
         """The last accepted setpoint; None before the first."""
         return self.course.waypoint
+
+    @property
+    def area_origin(self) -> Global | None:
+        """The area's origin, latitude and longitude in degrees, at home's altitude, m; None: it is home."""
+        area, home = self._known.area_origin, self._known.home
+        return (*area, home[2]) if area and home else None
 
     @property
     def wind(self) -> tuple[float, float] | None:

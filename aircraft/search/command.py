@@ -10,6 +10,7 @@ from aircraft.bridge.address import parse_out
 from aircraft.search.clock import Clock
 from aircraft.search.events import OnBoard
 from aircraft.search.search import AfterStop
+from aircraft.search.together import Berth
 from aircraft.search.uav import Equipment, Speaker, Uav
 from aircraft.state import VehicleFailed
 from link import cli
@@ -33,6 +34,7 @@ class Orders:
     estimator: str = ""  # flags that its estimator needs
     agent: str = ""  # flags that its agent needs
     number: int | None = None  # its number in a search of several vehicles; None: it searches alone
+    berth: Berth | None = None  # its place among them
 
 
 # Makes the service; what it opens is closed with the stack. Raises ValueError for a URL of `outs` that cannot
@@ -75,6 +77,8 @@ def fly(args: argparse.Namespace, orders: Orders, make: Make) -> int:
                     args.log_level,
                     secure=args.secure,
                     sole=True,
+                    # A real one of several is not there for the others before it can take off.
+                    announced=not (args.vehicle and orders.number),
                     vehicles=() if orders.number is None else (orders.number,),
                 )
             )
@@ -120,4 +124,5 @@ def _how_to_join(
     )
     yield f"its agent: plumeward agent {joining}{orders.agent}{who}"
     if args.vehicle:
-        yield f"its payload: plumeward payload {joining}"
+        number = "" if orders.number is None else f" --number {orders.number}"
+        yield f"its payload: plumeward payload {joining}{number}"

@@ -13,15 +13,17 @@ WANTED_WIND = (
 )
 
 
-def add_vehicle_url(parser: argparse.ArgumentParser) -> None:
-    """Add `--vehicle`, `--wind` and `--wait`."""
+def add_vehicle_url(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add `--vehicle`, `--wind` and `--wait`.  several: it may be given for several vehicles."""
+    each = "; once for each real one of --vehicles, of which they are the first" * several
     parser.add_argument(
         "--vehicle",
         type=cli.checked(parse_address),
+        action="append" if several else "store",
         metavar="URL",
         help=f"fly a real autopilot, ArduCopter or PX4, or its own simulator: {ALLOWED}; --speedup is then "
         "that of its simulator "
-        "(default: 1), --sysid its system id (default: the first heard)",
+        f"(default: 1), --sysid its system id (default: the first heard){each}",
     )
     parser.add_argument(
         "--wind",

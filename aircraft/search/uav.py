@@ -271,7 +271,8 @@ class Uav:
         self._search.go_on(not absent)
         if self._search.state == STANDBY:
             self._sensor.prepare(self._search.waits_for, absent)
-        self._tally.warnings = tuple(filter(None, (self._search.waits_for, self._vehicle.caveat)))
+        waits_for = self._search.waits_for or self._sensor.waits_for
+        self._tally.warnings = tuple(filter(None, (waits_for, self._vehicle.caveat)))
         if self._tally.state != self._search.state:
             self._tally.state = self._search.state
             self._clients.changed()

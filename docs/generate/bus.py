@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from link.access.roles import MOST_VEHICLES, OF_ALL_VEHICLES, SERVICES
+from link.access.roles import MOST_SEARCHES, MOST_VEHICLES, OF_A_SEARCH, OF_ALL_VEHICLES, SERVICES
 from link.bus.inbox import MOST_OTHERS, WAITING_BYTES, WAITING_MESSAGES
 from link.bus.keys import BELIEF, HEALTH, KEYS, OF_A_VEHICLE, Key
 from link.bus.messages import Contribution, RoundReading, Stop
@@ -117,8 +117,6 @@ these:
    has not come yet all wait without end.
 11. A belief names in `doubted` the vehicles whose readings do not fit the others'. The estimator warns of them in its health.
 
-`--secure` has no roles for a search of several yet.
-
 ## Late joiners
 
 What is *kept* is published with Zenoh's advanced publisher (`zenoh.ext`, cache, publisher detection, sample-miss detection by heartbeat). An
@@ -215,7 +213,9 @@ ACCESS = f"""
 ## Access
 
 With `--secure DIR` the router speaks mutual TLS on `tls/` endpoints, and admits each client by the common name of its certificate. That is
-`uav/<id>/<role>`, with an id from 1 to {MOST_VEHICLES}, or {" or ".join(f"`{role}`" for role in OF_ALL_VEHICLES)}, a role of all vehicles;
+`uav/<id>/<role>`, with an id from 1 to {MOST_VEHICLES}, or {" or ".join(f"`{role}`" for role in OF_ALL_VEHICLES)}, a role of all vehicles.
+In a search of several it is `search/<id>/<role>` for {" and ".join(OF_A_SEARCH)}, with an id from 1 to {MOST_SEARCHES}, else
+`search/<id>/uav/<number>/<role>`: it has this table's rights to its own vehicle's keys and to those of the search, and none to another vehicle's.
 `ros` has no key of this page ([ROS 2](ros2.md#secured)). A role says the health of the services of its name{_others()}.
 All that this table does not allow is dropped. See [security](security.md).
 """

@@ -150,8 +150,7 @@ def _join(joined: ExitStack, args: argparse.Namespace, namespace: str | None) ->
             log_level=args.log_level,
             announced=False,
             secure=args.secure,
-            # It then hears the health of all vehicles, if any. With certificates there is one, and no right.
-            vehicles=() if namespace is None or args.secure else (1,),
+            vehicles=() if namespace is None else (1,),  # it then hears the health of all vehicles, if any
         )
     )
 

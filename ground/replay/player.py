@@ -7,6 +7,8 @@ import contextlib
 import math
 import time
 from collections import deque
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,13 +63,17 @@ def replay(
         progress = stack.enter_context(Progress(max(len(readings) - 1, 0), started))
         endpoint = connect or _start(stack.enter_context(Processes(inbox)), source, secure, record)
         together = numbers(source.vehicles)
-        bus = stack.enter_context(
-            Bus("uav", endpoint, source.namespace, inbox, secure=secure, vehicles=together)
-        )
+        join = partial(Bus, "uav", endpoint, source.namespace, secure=secure)
+        bus = stack.enter_context(join(inbox=inbox, vehicles=together))
+        # With certificates each vehicle speaks for itself alone.
+        others = {
+            number: stack.enter_context(join(announced=False, vehicles=[number]))
+            for number in (together[1:] if secure else ())
+        }
         bus.subscribe(BELIEF, STOP, WAYPOINT, HEALTH)
         bus.watch_services()
         progress.say(f"replay: {source.path} as {source.namespace}, {pace(speedup)}, router at {endpoint}")
-        player = Player(bus, source, progress, rules, own=connect is None)
+        player = Player(bus, others, source, progress, rules, own=connect is None)
         player.wait_for_services()
         player.play(speedup)
         return player
@@ -90,9 +96,21 @@ def _start(processes: Processes, source: Source, secure: Path | None, record: Pa
 class Player:
     """Publishes the vehicle's recorded messages, and waits for the services' answers in between."""
 
-    def __init__(self, bus: Bus, source: Source, progress: Progress, rules: Rules | None, own: bool) -> None:
-        """Take the bus, joined as the uav. `own`: the services were started for this replay."""
-        self._bus = bus
+    def __init__(
+        self,
+        bus: Bus,
+        others: Mapping[int, Bus],
+        source: Source,
+        progress: Progress,
+        rules: Rules | None,
+        own: bool,
+    ) -> None:
+        """Take the bus, joined as the uav.
+
+        others: that on which a vehicle of a search speaks, by its number, if not on the first.
+        own: the services were started for this replay.
+        """
+        self._bus, self._others = bus, others
         self._source = source
         self._progress = progress
         self._rules = rules
@@ -162,7 +180,11 @@ class Player:
         closing = self._source.turns.by_reading.get(entry.payload)
         number = int(vehicle_of(entry.key) or 0) or (closing.vehicle if closing else self._last)
         key = VEHICLE_KEYS[row_name(entry.key)]
-        self._bus.publish(key, entry.payload, entry.attachment or None, vehicle=number)
+        self._speaker(number).publish(key, entry.payload, entry.attachment or None, vehicle=number)
+
+    def _speaker(self, number: int | None) -> Bus:
+        """Return the bus on which a vehicle speaks."""
+        return self._others.get(number or 0, self._bus)
 
     # ---- waiting ----
 
@@ -222,7 +244,7 @@ class Player:
         """
         while not self.difference and (self._due or not for_answers) and (now := time.monotonic()) < until:
             if self._due and self._resending.due(now):
-                self._bus.publish(READING, self._reading, vehicle=self._last)
+                self._speaker(self._last).publish(READING, self._reading, vehicle=self._last)
             self._take(self._bus.receive(min(until, self._resending.due_s if self._due else math.inf) - now))
 
     # ---- what arrives ----

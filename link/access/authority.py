@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from link.access.identity import AccessError, issued
-from link.access.roles import FOR_ALL, OF_A_VEHICLE, ROUTER, common_name
+from link.access.roles import FOR_ALL, OF_A_SEARCH, OF_A_VEHICLE, ON_BOARD, ROUTER, common_name
 
 CA = "ca"
 CA_DAYS = 3650
@@ -55,6 +55,7 @@ def make(
     hosts: Sequence[str] = ROUTER_NAMES,
     days: int = 365,
     *,
+    search: int | None = None,
     force: bool = False,
     now: datetime.datetime | None = None,
 ) -> list[Made]:
@@ -63,6 +64,7 @@ def make(
     Returns all of them.
 
     hosts: names and addresses at which clients reach the router.  days: how long the certificates hold.
+    search: the number of the search in which the vehicles search together; None: each is alone.
     Raises AccessError if files are damaged or half there, OSError if they cannot be read or written.
     """
     begins = (now or datetime.datetime.now(datetime.UTC)) - EARLIER
@@ -74,7 +76,7 @@ def make(
     names = [
         ROUTER,
         *FOR_ALL,
-        *(common_name(role, f"uav/{number}") for number in vehicles for role in OF_A_VEHICLE),
+        *_of_vehicles(vehicles, search),
     ]
     until = min(begins + datetime.timedelta(days=days) + EARLIER, ca.certificate.not_valid_after_utc)
     if until <= begins:
@@ -89,6 +91,15 @@ def make(
             raise AccessError(f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {REPLACE}")
         made.append(Made(name, certificate.not_valid_after_utc, new))
     return made
+
+
+def _of_vehicles(vehicles: Iterable[int], search: int | None) -> Iterable[str]:
+    """Yield the names of the certificates of vehicles, and of the search by several."""
+    if search is not None:
+        yield from (common_name(role, f"search/{search}") for role in OF_A_SEARCH)
+    for number in vehicles:
+        space = f"uav/{number}" if search is None else f"search/{search}/uav/{number}"
+        yield from (common_name(role, space) for role in (OF_A_VEHICLE if search is None else ON_BOARD))
 
 
 def risks(folder: Path) -> list[str]:

@@ -7,7 +7,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from link.access.reach import host_and_port
-from link.access.roles import NAMESPACES, OF_A_VEHICLE, ROUTER, SERVICES, common_name, role_of
+from link.access.roles import (
+    NAMESPACES,
+    OF_A_SEARCH,
+    OF_A_VEHICLE,
+    ROUTER,
+    SEARCHERS,
+    SEARCHES,
+    SERVICES,
+    common_name,
+    is_search,
+    role_of,
+    spaces_of,
+)
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -68,10 +80,11 @@ def secured(
 def identity(folder: Path, service: str, namespace: str | None) -> Identity:
     """Return the certificate of a service, or of the router; raises AccessError if it cannot be used."""
     role = ROUTER if service == ROUTER else role_of(service)
-    if role in OF_A_VEHICLE and namespace not in NAMESPACES:
+    if role in OF_A_VEHICLE and namespace not in spaces_of(role):
+        of_one, of_several = NAMESPACES, SEARCHES if role in OF_A_SEARCH else SEARCHERS
         raise AccessError(
             f"--namespace: {namespace!r} is not allowed with --secure; wanted "
-            f"{NAMESPACES[0]} to {NAMESPACES[-1]}"
+            f"{of_one[0]} to {of_one[-1]}, in a search of several {of_several[0]} to {of_several[-1]}"
         )
     name = common_name(role, namespace)
     until = _check(folder, name, namespace if role in OF_A_VEHICLE else None)
@@ -102,7 +115,7 @@ def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
     try:
         *pems, secret = (file.read_bytes() for file in (folder / "ca.pem", path, path.with_suffix(".key")))
     except OSError as error:
-        more = f" --vehicles {namespace.removeprefix('uav/')}" if namespace else ""
+        more = _making(namespace) if namespace else ""
         raise AccessError(
             f"--secure: cannot read {error.filename}: {error.strerror} (make it with: plumeward certs "
             f"{folder}{more})"
@@ -139,6 +152,14 @@ def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
         if is_so:
             raise AccessError(f"--secure: {fault}")
     return min(ca.not_valid_after_utc, own.not_valid_after_utc)
+
+
+def _making(space: str) -> str:
+    """Return the flags of `plumeward certs` that make the certificates of a space of keys."""
+    search, _, number = space.removeprefix("search/").partition("/uav/")
+    if not is_search(space):
+        return f" --vehicles {space.removeprefix('uav/')}"
+    return f" --search {search}" + f" --vehicles {number}" * bool(number)
 
 
 def issued(certificate: "Certificate", ca: "Certificate") -> bool:

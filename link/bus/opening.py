@@ -13,7 +13,7 @@ import zenoh.ext
 
 from link.access.identity import Identity, is_refused, secured, why_not
 from link.access.reach import host_and_port
-from link.access.roles import ROUTER, access_control
+from link.access.roles import ROUTER, Rights, access_control
 from link.bus.keys import BELIEF, KEYS, MIB, Delivery
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
@@ -247,7 +247,7 @@ def open_router(
     AccessError if it cannot be secured.
     """
     endpoint, known = secured("--listen", endpoint, secure, ROUTER, None)
-    rights = ((key.name, key.writers, key.readers) for key in KEYS)
+    rights = (Rights(key.name, key.writers, key.readers, key.own) for key in KEYS)
     rules = {"transport__link__tls": known.tls, "access_control": access_control(rights)} if known else {}
     limits = {
         "transport__link__tx__queue__congestion_control__block__wait_before_close": round(1e6 * FULL_S),

@@ -144,15 +144,15 @@ class Bus:
         Raises NoRouter if no router admits us in time (open_client), BusError if `connect` is not an
         endpoint or an older one is here, AccessError if we have no certificate that is fit.
         """
-        connect, self._identity = secured("--connect", connect, secure, service, certified or namespace)
+        self.service = service
+        self._namespace = namespace
+        self._vehicles = tuple(vehicles)
+        connect, self._identity = secured("--connect", connect, secure, service, certified or self._space())
         usual: dict[str, Any] = {
             **({"transport__link__tls": self._identity.tls} if self._identity else {}),
             **({} if namespace is None else {"namespace": namespace}),
             "timestamping__enabled": True,  # otherwise the router's clock stamps the messages
         }
-        self.service = service
-        self._namespace = namespace
-        self._vehicles = tuple(vehicles)
         self.tally = Tally()
         self.log = Log(part_of(self._name(HEALTH)), namespace or "-", self.tally, log_level)
         self._session = open_client(connect, self._identity, self.log.warning, **usual | settings)
@@ -179,14 +179,25 @@ class Bus:
                 self.close()
                 raise self._superfluous()
         if announced:
-            self._look_for_rights(HEALTH, HEALTH.writers, "publish", service)
-            self._hold("token", lambda session: session.liveliness().declare_token(own_health))
+            self.announce()
+
+    def announce(self) -> None:
+        """Show by a liveliness token that the service is there."""
+        self._look_for_rights(HEALTH, HEALTH.writers, "publish", self.service)
+        own_health = self._name(HEALTH)
+        self._hold("token", lambda session: session.liveliness().declare_token(own_health))
 
     def _name(self, key: Key, vehicle: int | None = None) -> str:
         """Return the name on which it publishes: of its own vehicle, unless another is given."""
         if vehicle is None and self._vehicles and (key.own or self._is_on_board(key)):
             vehicle = self._vehicles[0]
         return key.named(self.service, vehicle)
+
+    def _space(self) -> str | None:
+        """Return the keys that it speaks for: its namespace, or in a search of several its own vehicle's."""
+        if self._vehicles and self.service in OF_A_VEHICLE:
+            return f"{self._namespace}/{OF_VEHICLE}{self._vehicles[0]}"
+        return self._namespace
 
     def _is_on_board(self, key: Key) -> bool:
         return key is HEALTH and self.service in OF_A_VEHICLE

@@ -1,4 +1,4 @@
-"""Where a vehicle is in the search area's frame, whose origin is home.
+"""Where a vehicle is in the search area's frame, whose origin is home unless another one is known.
 
 Its LOCAL_POSITION_NED is in a frame of its own.
 """
@@ -31,6 +31,8 @@ class AreaFrame:
     """
 
     def __init__(self) -> None:
+        # The area's origin, latitude and longitude, degrees; None: it is the vehicle's home.
+        self._area: tuple[float, float] | None = None
         self._autopilot = -1
         self.forget()
 
@@ -44,15 +46,15 @@ class AreaFrame:
 
     @property
     def zero(self) -> Ned | None:
-        """Home in the vehicle's own frame; None while that is not known."""
+        """The area's origin, at home's height, in the vehicle's own frame; None while it is not known."""
         if self._origin and self._home:
-            return home_from(self._origin, self._home)
+            return home_from(self._origin, self.home or self._home)
         return None if self._origin or self._autopilot == ARDUPILOT else (0.0, 0.0, 0.0)
 
     @property
     def home(self) -> Fix | None:
-        """Home, the frame's origin: latitude and longitude, degrees, and altitude, m; None if not told."""
-        return self._home
+        """The frame's origin: latitude and longitude, degrees, and home's altitude, m; None if not told."""
+        return (*self._area, self._home[2]) if self._area and self._home else self._home
 
     def take(self, message_id: int, fields: dict[str, Any]) -> bool:
         """Take one of the `PLACING` messages of the vehicle's autopilot.
@@ -75,6 +77,14 @@ class AreaFrame:
             self.on_ground = self._landed == mavlink.MAV_LANDED_STATE_ON_GROUND
         elif self._status >= 0:
             self.on_ground = self._status in GROUNDED
+        return self.zero != before
+
+    def lies(self, fields: dict[str, Any]) -> bool:
+        """Take the GPS_GLOBAL_ORIGIN of the search that flies it: the area's origin, if that is not home.
+
+        Returns whether it has moved.
+        """
+        before, self._area = self.zero, _fix(fields)[:2]
         return self.zero != before
 
     def place(self, local: dict[str, Any]) -> tuple[float, float, float] | None:

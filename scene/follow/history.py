@@ -37,7 +37,7 @@ from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
 from link.record.reader import Recording
 from link.record.record import HEALTH_PREFIX, Entry, began_s
-from scene.follow.area import HEARTBEAT, PLACING, AreaFrame, Fix
+from scene.follow.area import HEARTBEAT, ORIGIN, PLACING, AreaFrame, Fix
 from scene.follow.believed import gauge_of, measured, scatter
 from scene.follow.described import WindTurn, backdrop_of, turns_of
 from scene.follow.parts import LONGEST, Parts
@@ -214,7 +214,7 @@ class History:
         return (
             self.own.sent(frame)
             or frame.message_id == RADIO
-            or (frame.message_id in (TEXT, HEARTBEAT) and self.own.searched(frame))
+            or (frame.message_id in (TEXT, HEARTBEAT, ORIGIN) and self.own.searched(frame))
         )
 
     def _take_telemetry(self, payload: bytes, time_s: float) -> bool:
@@ -228,6 +228,9 @@ class History:
                 who = "uav" if is_own else "search"
                 if text := self._texts[who].joined(fields["text"], fields["id"], fields["chunk_seq"]):
                     self._happened(time_s, level_of(fields["severity"]), who, text)
+            elif frame.message_id == ORIGIN and not is_own:
+                if self._area.lies(fields):
+                    self._displace()
             elif is_own or frame.message_id == RADIO:
                 self._take_own(frame.message_id, fields, time_s)
         self._heard_s = self.wall_s if heard else self._heard_s

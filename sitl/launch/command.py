@@ -29,7 +29,7 @@ from sitl.launch.recording import (
 )
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
-from sitl.script.options import FIELDS, blamed, fleet_of, script_for_vehicle, script_of
+from sitl.script.options import FIELDS, blamed, fleet_of, origin_of, script_for_vehicle, script_of
 from sitl.script.script import AgentPart, Script
 from sitl.uav.options import add_vehicle_arguments
 
@@ -90,7 +90,7 @@ def add_arguments(
         "-e",
         "--connect",
         metavar="ENDPOINT",
-        help="join a router, estimator and agent that run elsewhere; start only the vehicle",
+        help="join a router, estimator and agent that run elsewhere; start only the vehicle, or vehicles",
     )
     parser.add_argument(
         "--record",
@@ -110,7 +110,7 @@ def add_arguments(
     )
     parser.add_argument("--open", action="store_true", help="the same, and open it in a browser")
     add_fleet_arguments(parser)
-    add_vehicle_url(parser)
+    add_vehicle_url(parser, several=True)
     add_payload_argument(parser, "with --vehicle, ")
     cli.add_output_guard(parser)
     parser.add_argument(
@@ -177,7 +177,7 @@ def _checked_script(args: argparse.Namespace) -> Script:
     script = script_for_vehicle(script, args)
     if args.vehicle:
         check_payload(script, args.payload)
-    check_fleet(script, fleet_of(args, script), args.given)
+    check_fleet(script, fleet_of(args, script), args.given, origin_of(args, script))
     return script
 
 
@@ -190,7 +190,7 @@ def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> La
         plume = (
             _words(given, "problem", "seed", "sensor", "dwell", "world") if args.payload == SIMULATED else []
         )
-        real = RealVehicle(url=args.vehicle, payload=args.payload, payload_arguments=plume, wait_s=args.wait)
+        real = RealVehicle(urls=args.vehicle, payload=args.payload, payload_arguments=plume, wait_s=args.wait)
     return Launch(
         script=script,
         instance=args.instance,
@@ -200,6 +200,7 @@ def _launch(args: argparse.Namespace, script: Script, record: Path | None) -> La
         connect=args.connect,
         secure=args.secure,
         real=real,
+        origin=origin_of(args, script) if script.fleet.vehicles > 1 else None,
         record=record,
         log_level=args.log_level,
         patience_s=args.patience,

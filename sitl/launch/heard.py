@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import re
 import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
@@ -9,7 +10,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from aircraft.operator import AUTOPILOT
-from link.bus.keys import BELIEF, DEPARTURE, HEALTH, MAVLINK_OUT, READING, SEARCHERS, STOP
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH, MAVLINK_OUT, OF_VEHICLE, READING, SEARCHERS, STOP
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.bus.messages import Belief, Departure, Health, Stop, by_number, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange, part_of
@@ -20,17 +21,22 @@ from sitl.launch.processes import MissionFailed
 
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
 TOLD_AFTER_S = 1.0  # how long services elsewhere may be missing until people are told
+# What our estimator says of itself; with the number of vehicles, if they are several.
+ESTIMATOR_ABOUT = re.compile(
+    r"^\d+ particles, assume [^,]*, stop [^ ]*?(?:, (\d+) vehicles)?(?:, without .*)?$"
+)
 MOST_READINGS = 100_000  # readings that wait for their beliefs; a stranger could publish without end
 
 
-def await_services(bus: Bus, namespace: str, say: Callable[[str], None], wait_s: float) -> str:
+def await_services(bus: Bus, namespace: str, vehicles: int, say: Callable[[str], None], wait_s: float) -> str:
     """Wait until estimator and agent are there; returns the agent's policy.
 
     `bus` has subscribed to HEALTH. Raises MissionFailed if one of them has already flown a mission or is
-    not there after wait_s, or if another vehicle is there.
+    not there after wait_s, if another vehicle is there, or if the estimator says that it searches with
+    another number of vehicles.
     """
-    if "uav" in bus.services():
-        raise MissionFailed(f"another uav is already on {namespace}")
+    if others := sorted(part for part in bus.services() if part == "uav" or part.startswith(OF_VEHICLE)):
+        raise MissionFailed(f"another {others[0]} is already on {namespace}")
     bus.watch_services()
     alive: set[str] = set()
     health: dict[str, Health] = {}
@@ -55,6 +61,13 @@ def await_services(bus: Bus, namespace: str, say: Callable[[str], None], wait_s:
             raise MissionFailed(
                 f"the {service} has already flown a mission, to step {health[service].step}: restart it"
             )
+    ours = ESTIMATOR_ABOUT.search(health["estimator"].about)
+    if ours and (searching := int(ours[1] or 1)) != vehicles:
+        flags = f"with --vehicles {vehicles}" if vehicles > 1 else "without --vehicles"
+        raise MissionFailed(
+            f"the estimator on {namespace} is for {searching} vehicle{'s' * (searching > 1)}, and {vehicles} "
+            f"would fly: start it {flags}"
+        )
     return health["agent"].about
 
 

@@ -59,7 +59,6 @@ from sitl.launch.viewing import NO_PAGE, MissionPage
 from sitl.launch.watchdog import LOOK_S, Watchdog
 from sitl.script.script import Cut, Expectation, Script
 
-PAYLOAD = "payload"
 CALL_EVERY_S = 1.0  # real time between two commands to return home
 LATE_STOP_S = 2.0  # a stop may reach us this much later than the vehicle, which lands because of it
 SHOWN = re.compile("Script: |Check: ")  # lines that are shown whatever their level
@@ -92,7 +91,7 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
     """
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
-        payload = [PAYLOAD] * bool(mission.real)
+        payload = [*mission.payloads]
         uavs = ", ".join(mission.uavs)
         starting = [uavs if mission.connect else f"router, {uavs}, estimator, agent", *payload]
         progress = stack.enter_context(Progress(mission.script.budget, ", ".join(starting)))
@@ -118,9 +117,8 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
 
         if mission.connect:
             bus = join(mission.connect)
-            policy = await_services(
-                bus, mission.namespace, progress.say, mission.real.wait_s if mission.real else math.inf
-            )
+            wait_s = mission.real.wait_s if mission.real else math.inf
+            policy = await_services(bus, mission.namespace, len(mission.uavs), progress.say, wait_s)
             mission = replace(mission, script=mission.script.changed({"agent.policy": policy}))
         endpoint = start_parts(processes, mission, relays, page, progress.say)
         if files:
@@ -190,7 +188,7 @@ def start_parts(
     if mission.numbers:
         about["fleet"] = mission.fleet
     if real:
-        about |= {"vehicle": real.url, "payload": real.payload}
+        about |= {"vehicle": ", ".join(real.urls), "payload": real.payload}
     about_json = msgspec.json.encode(about).decode()
     recorder = None
     if mission.record:
@@ -205,13 +203,13 @@ def start_parts(
     page.await_start(say)
     if real:
         measures = ("--payload", real.payload, *real.payload_arguments)
-        processes.start(PAYLOAD, "sitl", "payload", *measures, *joining(PAYLOAD))
+        for payload in mission.payloads:
+            number = payload.partition("/")[2]
+            own = ("--number", number) if number else ()
+            processes.start(payload, "sitl", "payload", *measures, *joining(payload), *own)
     for uav, arguments in uav_arguments(mission).items():
-        words = *arguments, *joining("uav")
-        if real:
-            processes.start(uav, "sitl", "uav", "--vehicle", real.url, *words, kind=FLYING)
-        else:
-            processes.start(uav, "sitl", "uav", *words)
+        kind = FLYING if uav in mission.real_uavs else None
+        processes.start(uav, "sitl", "uav", *arguments, *joining(uav), kind=kind)
     return endpoint
 
 
@@ -332,7 +330,7 @@ class MissionWatch:
             return "flying to the start" + "s" * (len(states) > 1)
         if busy := [state for state in states if state not in ("", "standby", "searching")]:
             return busy[0]
-        missing = sorted({*SEARCHERS, *uavs, *[PAYLOAD] * bool(self._mission.real)} - set(heard.health))
+        missing = sorted({*SEARCHERS, *uavs, *self._mission.payloads} - set(heard.health))
         if any(self._last_words.get(part) == COMPILING for part in missing):
             return COMPILING
         if missing:
@@ -353,6 +351,9 @@ class MissionWatch:
                 self._watchdog.ended(part)
                 if ended.number and self._wait_on_the_ground():
                     self._bus.publish(LEAVE_OUT, LeaveOut(ended.number, how_ended(item)))
+                self._progress.say(f"warning: {part} {how_ended(item)}; its last words: {item.last_words}")
+            case Ended(part=part) if self._spares_payload(item):  # its vehicle gives up by itself
+                self._watchdog.ended(part)
                 self._progress.say(f"warning: {part} {how_ended(item)}; its last words: {item.last_words}")
             case Ended():
                 raise_for(item)
@@ -387,6 +388,11 @@ class MissionWatch:
             ended.part in self._mission.uavs and ended.status not in (INTERRUPTED, BAD_INPUT) and bool(others)
         )
 
+    def _spares_payload(self, ended: Ended) -> bool:
+        """Whether a part that has ended is the payload of one of several vehicles."""
+        is_one = bool(self._mission.numbers) and ended.part in self._mission.payloads
+        return is_one and ended.status not in (INTERRUPTED, BAD_INPUT)
+
     def _wait_on_the_ground(self) -> bool:
         """Whether some of several vehicles may still wait for the others to be there."""
         begun = self._heard.last is not None
@@ -396,7 +402,7 @@ class MissionWatch:
         """Say what is flown, once the search has begun; from then on its record counts."""
         script = self._mission.script
         if self._mission.numbers:
-            self._watchdog.spare(self._mission.uavs)  # the others go on without one
+            self._watchdog.spare([*self._mission.uavs, *self._mission.payloads])  # the others go on without
         if script.about:
             self._progress.say(printable(script.about))
         where = "" if script.problem.area == PAPER.area else f"area {script.problem.area.text}, "
@@ -452,7 +458,8 @@ class MissionWatch:
             if not last.ceased and time.monotonic() >= call_at:
                 for vehicle in flying:
                     if vehicle.state == "searching":
-                        call = order(after, vehicle.system, SEARCH if self._mission.real else AUTOPILOT)
+                        is_real = vehicle.part in self._mission.real_uavs
+                        call = order(after, vehicle.system, SEARCH if is_real else AUTOPILOT)
                         self._bus.publish(MAVLINK_IN, codec.pack(call), vehicle=vehicle.number)
                 call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)
@@ -497,7 +504,7 @@ class MissionWatch:
             intermittency=last.intermittency,
             advised_dwell_s=last.advised_dwell,
             last_word=heard.last_word(last),
-            home=heard.home if self._mission.real else self._mission.home,
+            home=self._mission.origin or (heard.home if self._mission.real else self._mission.home),
             left=heard.departures,
             doubted=heard.doubted,
         )

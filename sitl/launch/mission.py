@@ -16,6 +16,7 @@ from plume.problems.fleet import ALONE, Fleet
 from plume.randomness import derived_seed
 from plume.scenario import AS_MODELLED, Scenario
 from sitl.launch.watchdog import PATIENCE_S
+from sitl.script.options import ORIGIN_WANTED
 from sitl.script.script import (
     AgentPart,
     Cut,
@@ -31,12 +32,7 @@ from sitl.uav.options import at_own_home, longest_wait_s
 
 # Expectations that need the source's true position.
 TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})
-# Flags that several vehicles cannot fly with yet, and why.
-WITHOUT_FLEET = {
-    "vehicle": "only simulated vehicles search together",
-    "connect": "estimator and agent of several vehicles are started here",
-    "secure": "certificates are for vehicles that search alone",
-}
+PAYLOAD = "payload"
 # Real time for which a round waits for one of several vehicles that might have come, s; at most this part of
 # the time after which the others go home because no waypoint comes.
 OVERDUE_S, OF_SILENCE = 20.0, 2 / 3
@@ -45,9 +41,9 @@ USUAL = {"estimator": EstimatorPart(), "agent": AgentPart()}
 
 @dataclass(frozen=True, kw_only=True)
 class RealVehicle:
-    """A real autopilot, and what measures on it."""
+    """A real autopilot, or those of several that search together, and what measures on each."""
 
-    url: str
+    urls: Sequence[str]
     payload: str = SIMULATED  # the gas sensor, in the form of --payload
     payload_arguments: Sequence[str] = ()  # the arguments that say which plume a simulated one reads
     wait_s: float = math.inf  # real time in which the services that run elsewhere have to be there
@@ -69,15 +65,16 @@ class Launch:
     real: RealVehicle | None = None  # None: the simulated vehicle
     record: Path | None = None  # the MCAP file to record to
     log_level: str = "warning"
+    origin: tuple[float, float] | None = None  # of the area of several vehicles, where one is chosen, degrees
     patience_s: float = PATIENCE_S  # real time after which a silent part counts as hung
 
     @property
     def system(self) -> int | None:
         """The MAVLink system id of the vehicle, or of the first of several, which the others' follow.
 
-        None: a real autopilot's, which nobody knows yet.
+        None: that of a real autopilot alone, which nobody knows yet.
         """
-        return self.sysid or (None if self.real else self.instance + 1)
+        return self.sysid or (None if self.real and not self.numbers else self.instance + 1)
 
     @cached_property
     def fleet(self) -> Fleet:
@@ -93,6 +90,16 @@ class Launch:
     def uavs(self) -> list[str]:
         """The names of the parts that fly: `uav`, or `uav/1`, `uav/2` and so on."""
         return [f"uav/{number}" for number in self.numbers] or ["uav"]
+
+    @property
+    def real_uavs(self) -> dict[str, str]:
+        """The parts that fly a real autopilot, and the URL of each: of several vehicles the first ones."""
+        return dict(zip(self.uavs, self.real.urls if self.real else (), strict=False))
+
+    @property
+    def payloads(self) -> dict[str, str]:
+        """The parts that measure on a real autopilot, and for which part: `payload`, or `payload/1`."""
+        return {part.replace("uav", PAYLOAD): part for part in self.real_uavs}
 
     @property
     def home(self) -> tuple[float, float]:
@@ -224,15 +231,20 @@ def uav_arguments(mission: Launch) -> dict[str, list[str]]:
             {"-I": instance + k, **together, "--number": k + 1, "--sysid": system and system + k}
             for k in range(fleet.vehicles)
         ]
-    return {
-        part: [*mission.uav_arguments, *_words(own)] for part, own in zip(mission.uavs, flags, strict=True)
-    }
+    real, arguments = mission.real_uavs, {}
+    for part, own in zip(mission.uavs, flags, strict=True):
+        # A simulated one beside a real one has no wait of its own: it takes off when all are there.
+        shared = [word for word in mission.uav_arguments if part in real or not word.startswith("--wait=")]
+        arguments[part] = [*shared, *_words({"--vehicle": real.get(part)} | own)]
+    return arguments
 
 
-def check_fleet(script: Script, fleet: Fleet, given: Collection[str]) -> None:
+def check_fleet(
+    script: Script, fleet: Fleet, given: Mapping[str, Any], origin: tuple[float, float] | None = None
+) -> None:
     """Raise BadInput if a script cannot be flown by several vehicles.
 
-    given: the flags that stand on the command line.
+    given: the flags that stand on the command line.  origin: of the area, latitude and longitude, degrees.
     """
     for number, event in enumerate(script.events):
         if fleet.vehicles == 1 and isinstance(event, Exclude):
@@ -245,17 +257,35 @@ def check_fleet(script: Script, fleet: Fleet, given: Collection[str]) -> None:
                 f"MISSION: events[{number}].vehicle: {event.vehicle} is not allowed; "
                 f"wanted 1 to {fleet.vehicles}, as many fly"
             )
+    _check_real(fleet, given, origin)
     if fleet.vehicles == 1:
         return
-    for flag in ("vehicle", "connect", "secure"):
-        if flag in given:
-            raise BadInput(f"--vehicles: not with --{flag}: {WITHOUT_FLEET[flag]}")
     for number, event in enumerate(script.events):
         tag = event.__struct_config__.tag
         if isinstance(event, Waypoints | Lawnmower):
             raise BadInput(f"--vehicles: events[{number}], {tag}, cannot happen: it is for one vehicle")
         if isinstance(event, Kill | Cut) and event.part == "uav":
             raise BadInput(f"--vehicles: events[{number}], {tag} uav, cannot happen: there are several")
+
+
+def _check_real(fleet: Fleet, given: Mapping[str, Any], origin: tuple[float, float] | None) -> None:
+    """Raise BadInput if real autopilots cannot fly with a fleet."""
+    urls, payload = given.get("vehicle", ()), given.get("payload", SIMULATED)
+    if len(urls) > fleet.vehicles:
+        raise BadInput(
+            f"--vehicle: {len(urls)} are given, and {fleet.vehicles} would fly; wanted --vehicles {len(urls)}"
+        )
+    if urls and fleet.vehicles > 1 and origin is None:
+        raise BadInput(f"--home: wanted with --vehicle and --vehicles: {ORIGIN_WANTED}")
+    if not urls and "wind" in given:
+        raise BadInput("--wind: only with --vehicle; the simulated vehicle's wind is the mission's")
+    if len(set(urls)) < len(urls):
+        raise BadInput("--vehicle: the same URL twice; wanted one for each real vehicle")
+    if fleet.vehicles > 1 and urls and payload != SIMULATED:
+        raise BadInput(
+            f"--payload: {payload} is not allowed with --vehicles; wanted {SIMULATED}, or the parts of each "
+            "real vehicle started by themselves, with --number"
+        )
 
 
 def _told(script: Script) -> str | None:

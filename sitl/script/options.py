@@ -54,7 +54,8 @@ SIMULATED_ONLY = {
     "home": "a real vehicle's home is where it stands",
     "strict": "a real autopilot has its own rules for OFFBOARD",
 }
-# Fields of a script's vehicle that a real one takes.
+ORIGIN_WANTED = "LAT,LON,ALT,HEADING, of which the first two are the origin of the area for all"
+# Fields of a script's vehicle that a real one takes; one of several takes an origin, too.
 TAKEN = ("takeoff_altitude_m", "silence_s", "after_stop")
 HOME = ("home_lat_deg", "home_lon_deg", "home_alt_m", "home_heading_deg")
 
@@ -143,12 +144,15 @@ def script_for_vehicle(script: Script, args: argparse.Namespace) -> Script:
     """
     given = args.given
     for flag, (other, reason) in NEEDS.items():
-        if flag in given and other not in given:
+        # Simulated vehicles that search with real ones have their wind.
+        beside = flag == "wind" and given.get("vehicles", 1) > 1
+        if flag in given and other not in given and not beside:
             raise BadInput(f"--{flag}: {reason}")
     if "vehicle" not in given:
         return script
+    together = script.fleet.vehicles > 1
     for flag, reason in SIMULATED_ONLY.items():
-        if flag in given:
+        if flag in given and not (together and flag == "home"):
             raise BadInput(f"--{flag}: not with --vehicle: {reason}")
     speedup = given.get("speedup", 1.0)
     if not speedup:
@@ -160,11 +164,30 @@ def script_for_vehicle(script: Script, args: argparse.Namespace) -> Script:
         raise BadInput("MISSION: a wind event is not allowed with --vehicle: its wind is measured")
     usual = VehiclePart()
     for field in usual.__struct_fields__:
-        if field not in TAKEN and getattr(script.vehicle, field) != getattr(usual, field):
+        if field not in (*TAKEN, *HOME * together) and getattr(script.vehicle, field) != getattr(
+            usual, field
+        ):
             raise BadInput(
                 f"MISSION: vehicle.{field} is not allowed with --vehicle: the autopilot has its own setting"
             )
     return script.changed({"speedup": speedup})
+
+
+def origin_of(args: argparse.Namespace, script: Script) -> tuple[float, float] | None:
+    """Return the latitude and longitude of the area's origin, degrees; None if no home has been chosen.
+
+    Raises BadInput if that of real vehicles is not the problem's.
+    """
+    chosen, usual, meant = script.vehicle, VehiclePart(), script.problem.home
+    place = chosen.home_lat_deg, chosen.home_lon_deg
+    if "home" not in args.given and place == (usual.home_lat_deg, usual.home_lon_deg):
+        return meant
+    if args.vehicle and meant and meant != place:
+        raise BadInput(
+            f"--home: {place[0]:.7f},{place[1]:.7f} is not allowed with --vehicle; the problem's home is "
+            f"{meant[0]:.7f}, {meant[1]:.7f}"
+        )
+    return place
 
 
 def fleet_of(args: argparse.Namespace, script: Script) -> Fleet:

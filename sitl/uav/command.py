@@ -1,19 +1,22 @@
 """`plumeward uav`: one vehicle alone, simulated or real."""
 
 import argparse
+import math
 import shlex
 from dataclasses import replace
 from importlib import import_module
 
+from aircraft.payload.simulated import turned
 from aircraft.search.command import Orders, fly
 from aircraft.search.events import OnBoard, happens_to
-from aircraft.search.options import add_vehicle_url
+from aircraft.search.options import add_vehicle_url, parse_wind
+from aircraft.search.together import Berth
 from link import cli
 from plume.problem import PAPER
 from plume.problems.fleet import ALONE, MOST_VEHICLES, Fleet
 from plume.problems.options import add_fleet_arguments
 from sitl.autopilot.vehicle import Vehicle
-from sitl.script.options import fleet_of, script_for_vehicle, script_of
+from sitl.script.options import ORIGIN_WANTED, fleet_of, origin_of, script_for_vehicle, script_of
 from sitl.script.script import Script
 from sitl.uav.options import add_vehicle_arguments, at_own_home, longest_wait_s
 from sitl.uav.simulated import simulated_uav
@@ -48,26 +51,44 @@ def run(args: argparse.Namespace) -> int:
     together = fleet.vehicles > 1
     chosen += f" --vehicles {fleet.vehicles}" if together else ""
     apart = together and fleet.separation_m != ALONE.separation_m
+    world = script.simulated()
+    if args.wind and not args.vehicle:
+        world = turned(world, math.hypot(*(wind := parse_wind(args.wind))), math.atan2(wind[1], wind[0]))
     orders = Orders(
-        script.simulated(),
+        world,
         script.speedup,
         [event for event in script.events if isinstance(event, OnBoard) and happens_to(event, number)],
         script.vehicle.after_stop,
         chosen,
         f" --separation {fleet.separation_m!r}" if apart else "",
         number if together else None,
+        _berth(args, script, fleet, number) if together else None,
     )
     config = script.vehicle_config(args.sysid or args.instance + 1)
+    if together:
+        config = replace(config, silence_s=config.silence_s + longest_wait_s(config, world.sensor.dwell))
     if args.vehicle:
+        if together:  # each has an id of its own, or a waypoint would be for two
+            args.sysid = config.sysid
         return int(import_module(REAL_VEHICLE).run(args, orders, config))
     # All of a search have one home, the origin of what they search: that of the first one.
     config = at_own_home(config, max(args.instance + 1 - number, 0))
-    if together:
-        config = replace(
-            config, silence_s=config.silence_s + longest_wait_s(config, orders.world.sensor.dwell)
-        )
     vehicle = Vehicle(config)
     return fly(args, orders, lambda equipment, _: simulated_uav(vehicle, orders, equipment, number, fleet))
+
+
+def _berth(args: argparse.Namespace, script: Script, fleet: Fleet, number: int) -> Berth:
+    """Return a vehicle's place among several. Raises BadInput if it is real and has no origin."""
+    world = script.simulated()
+    starts = fleet.starts(world.start, world.seed, world.problem.ground)
+    if args.vehicle and origin_of(args, script) is None:
+        raise cli.BadInput(f"--home: wanted with --vehicle and --vehicles: {ORIGIN_WANTED}")
+    return Berth(
+        starts[number - 1],
+        [start for other, start in enumerate(starts, 1) if other != number],
+        fleet.separation_m,
+        origin_of(args, script),
+    )
 
 
 def _place_in_fleet(args: argparse.Namespace, script: Script) -> tuple[Fleet, int]:
@@ -80,9 +101,5 @@ def _place_in_fleet(args: argparse.Namespace, script: Script) -> tuple[Fleet, in
     number = args.number or args.instance + 1
     if number > fleet.vehicles:
         raise cli.BadInput(f"--number: {number} is not allowed; wanted 1 to {fleet.vehicles} (--vehicles)")
-    if args.vehicle:
-        raise cli.BadInput("--vehicles: not with --vehicle: only simulated vehicles search together")
-    if args.secure:
-        raise cli.BadInput("--vehicles: not with --secure: certificates are for vehicles that search alone")
     args.namespace = args.namespace or f"search/{max(args.instance + 2 - number, 1)}"
     return fleet, number

@@ -14,14 +14,14 @@ from aircraft.payload.messages import Question
 from aircraft.payload.simulated import Simulated, turned
 from aircraft.search.command import Orders
 from aircraft.search.search import Search
+from aircraft.search.together import Together
 from aircraft.search.uav import Equipment, Handling, Uav
 from aircraft.search.udp import UdpPorts
 from aircraft.state import Arrived, Result, VehicleFailed, denied, not_now
-from link.bus.keys import MAVLINK_OUT, OF_VEHICLE, SEARCHERS
+from link.bus.keys import MAVLINK_OUT
 from link.bus.mavlink import Codec, Message, unpack
 from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival
-from link.cli import numbers
 from link.modes import Mode
 from plume.flight import TRY_AGAIN_S, leg_s
 from plume.problems.fleet import ALONE, Fleet, Place
@@ -221,31 +221,25 @@ class SharedSensor(SimulatedSensor):
     def __init__(self, world: World, vehicle: Vehicle, number: int, starts: Sequence[Place]) -> None:
         """Take the world as vehicle 1 measures it, the number of this vehicle, and where all start."""
         super().__init__(world.of_vehicle(number), vehicle, starts[number - 1])
-        self.among = len(starts)
-        # The search begins when all are there: none waits in the air for one that never comes.
-        self.services = SEARCHERS | {f"{OF_VEHICLE}{other}" for other in numbers(len(starts))}
+        self._together = Together(len(starts))
+        self.among, self.services = self._together.among, self._together.services
         self._vehicle_number = number
         self._world = world
         self._rounds = RoundTime(world, starts, vehicle.config.speed_mps, vehicle.config.accel_mps2)
         self._rounds.go(starts)
-        self._ends = dict.fromkeys(numbers(len(starts)), math.inf)  # the first round without each vehicle
 
     def takes_part(self, step: int) -> int:
         """Return how many vehicles take part in a round."""
-        return len(self._here(step))
-
-    def _here(self, step: int) -> Sequence[int]:
-        return [number for number, end in self._ends.items() if step < end]
+        return len(self._together.here(step))
 
     def go(self, places: Sequence[Place], step: int) -> None:
         """Learn where those of a round go next, by which the time goes on."""
-        self._rounds.go(places, self._here(step))
+        self._rounds.go(places, self._together.here(step))
 
     def leaves(self, vehicle: int, step: int) -> None:
         """Learn that a vehicle has left the search. It is not waited for."""
-        if self._ends.get(vehicle) == math.inf:
-            self._ends[vehicle] = step
-            self.services -= {f"{OF_VEHICLE}{vehicle}"}
+        self._together.leaves(vehicle, step)
+        self.services = self._together.services
 
     def _now_s(self, place: Place, number: int) -> float:
         return self._rounds.time_s

@@ -30,10 +30,28 @@ def test_it_says_what_it_made_and_what_it_kept(tmp_path: Path, capsys: pytest.Ca
     assert lines[3].endswith("/uav/2: vehicle, estimator, agent, payload, bridge, ros2")
 
 
+def test_vehicles_of_a_search_get_a_certificate_each_and_share_estimator_and_agent(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, lines, _ = made(capsys, str(tmp_path), "--search", "5", "--vehicles", "1,2")
+    assert status == 0
+    assert [line.partition(f"{tmp_path}")[2] for line in lines[2:-1]] == [
+        "/search/5: estimator, agent",
+        "/search/5/uav/1: vehicle, payload, bridge, ros2",
+        "/search/5/uav/2: vehicle, payload, bridge, ros2",
+    ]
+    _, lines, _ = made(capsys, str(tmp_path), "--search", "5", "--vehicles", "3")
+    assert [line.split("  ")[0] for line in lines[:-1]] == ["kept", "kept", "kept", "made"]
+    status, lines, err = made(capsys, str(tmp_path), "--search", "5", "--vehicles", "1,9")
+    assert (status, lines) == (2, [])
+    assert err == ("error: --vehicles: 9 is not allowed with --search; wanted whole numbers from 1 to 8\n")
+
+
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for words, said in (
         (["--vehicles", "65"], "--vehicles: '65' is not allowed; wanted a whole number from 1 to 64"),
         (["--router", "a,b c"], "--router: 'b c' is not allowed; wanted a host name or an IP address"),
+        (["--search", "9"], "--search: '9' is not allowed; wanted a whole number from 1 to 8"),
         (["--days", "0"], "--days: '0' is not allowed; wanted a whole number from 1 to 3650"),
     ):
         with pytest.raises(SystemExit) as end:

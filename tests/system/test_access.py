@@ -28,6 +28,7 @@ PLAIN, SECURE = (
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("certificates")
     make(path, [1, 2])
+    make(path, [1, 2], search=1)
     return path
 
 
@@ -60,6 +61,23 @@ def test_a_secured_mission_is_the_same_also_when_the_router_restarts(
     status, out, err = run_agent(monkeypatch, capsys, "rollout", "--seed", "2", "--json", "--trace")
     assert status == 0, err
     assert secured["trace"] == json.loads(out[-1])["trace"]
+
+
+def test_a_secured_search_by_two_is_the_same_and_its_record_verifies(
+    tmp_path: Path,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    chosen = ["--vehicles", "2", "--from", "corners", "--seed", "4", "--budget", "4", "--json", "--trace"]
+    secure = ["--speedup", "0", "--secure", str(folder)]
+    flown = run(tmp_path, "sitl", "fly", *chosen, *secure, "--record", "two.mcap")
+    assert "no right to" not in flown.stderr
+    status, out, err = run_agent(monkeypatch, capsys, "rollout", *chosen)
+    assert status == 0, err
+    assert json.loads(flown.stdout.splitlines()[-1])["trace"] == json.loads(out[-1])["trace"]
+    replayed = run(tmp_path, "sitl", "replay", "two.mcap", "--verify", *secure)
+    assert "verified: 5 beliefs, 0 stops, 4 waypoints" in replayed.stdout
 
 
 @pytest.mark.full

@@ -53,6 +53,24 @@ def test_it_is_the_mission_that_a_launcher_of_all_parts_flies_to_the_last_bit(
 
 
 @pytest.mark.full
+def test_a_search_by_two_joins_services_elsewhere_to_the_last_bit(start, router: str, tmp_path: Path) -> None:
+    fleet = "agent: {budget: 4}\nfleet: {vehicles: 2, formation: corners}\n"
+    (tmp_path / "two.yaml").write_text(MISSION.replace("expect: located\n", fleet))
+    chosen = ["two.yaml", "--json", "--trace", "--no-record"]
+    whole = start("sitl", "fly", *chosen, cwd=tmp_path)
+    whole.ended()
+    mission = Launch(script=load(tmp_path / "two.yaml"))
+    joining = ["--connect", router, "--namespace", "search/1"]
+    start("estimator", *joining, *estimator_arguments(mission))
+    start("agent", *joining, *agent_arguments(mission))
+    joined = start("sitl", "fly", *chosen, "--connect", router, cwd=tmp_path)
+    joined.ended()
+    one, other = (json.loads(part.out[-1]) for part in (whole, joined))
+    assert len(one["trace"]) == 10
+    assert {**one, "search_time_s": 0} == {**other, "search_time_s": 0}
+
+
+@pytest.mark.full
 def test_an_expectation_that_does_not_hold_is_status_1_and_used_services_fly_no_second_mission(
     start, router: str, mission: str, tmp_path: Path
 ) -> None:
@@ -120,6 +138,35 @@ def test_a_second_vehicle_in_the_same_namespace_is_refused(
         flight = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
         assert flight.ended() == 1
         assert flight.err[-1] == "error: another uav is already on uav/1\n"
+
+
+@pytest.mark.parametrize(
+    ("services", "flying", "line"),
+    [
+        ([], ["--vehicles", "2"], "is for 1 vehicle, and 2 would fly: start it with --vehicles 2"),
+        (
+            ["--vehicles", "3"],
+            ["--vehicles", "2"],
+            "is for 3 vehicles, and 2 would fly: start it with --vehicles 2",
+        ),
+    ],
+)
+def test_an_estimator_for_another_number_of_vehicles_is_refused_on_the_ground(
+    start, router: str, services: list[str], flying: list[str], line: str, tmp_path: Path
+) -> None:
+    joining = ["--connect", router, "--namespace", "search/1"]
+    start("estimator", *joining, *services)
+    start("agent", *joining)
+    flight = start("sitl", "fly", *flying, "--connect", router, "--no-record", cwd=tmp_path)
+    assert flight.ended() == 1
+    assert flight.err[-1] == f"error: the estimator on search/1 {line}\n"
+
+
+def test_another_vehicle_in_the_search_is_refused(start, router: str, tmp_path: Path) -> None:
+    with Bus("uav", router, "search/1", vehicles=(2,)):
+        flight = start("sitl", "fly", "--vehicles", "2", "--connect", router, "--no-record", cwd=tmp_path)
+        assert flight.ended() == 1
+        assert flight.err[-1] == "error: another uav/2 is already on search/1\n"
 
 
 @pytest.mark.parametrize(

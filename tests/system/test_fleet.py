@@ -101,8 +101,6 @@ def test_in_gas_that_moves_three_vehicles_on_the_clock_read_the_same_as_in_proce
             "--from: 'nowhere' is not allowed; wanted point, edge or corners",
         ),
         (("--vehicles", "4", "--from", "edge", "--separation", "9"), "have room for 0 to 7.5 m"),
-        (("--vehicles", "2", "--connect", "tcp/127.0.0.1:1"), "--vehicles: not with --connect"),
-        (("--vehicles", "2", "--vehicle", "udpin:127.0.0.1:1"), "--vehicles: not with --vehicle"),
         (("--vehicles", "2", "lawnmower"), "lawnmower, cannot happen: it is for one vehicle"),
     ],
 )

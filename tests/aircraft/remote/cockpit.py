@@ -14,6 +14,7 @@ from aircraft.remote.safety import Check, Verdict
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.search import STANDBY, Search
+from aircraft.search.together import Berth
 from aircraft.search.uav import Handling
 from aircraft.state import Arrived, Said, TakenOver, VehicleFailed
 from link.bus.frames import frames_in
@@ -159,6 +160,7 @@ class Cockpit:
         wait_s: float = math.inf,
         launched: bool = False,
         speedup: float = 1.0,
+        berth: Berth | None = None,
         config: VehicleConfig | None = None,
         **settings: Any,
     ) -> None:
@@ -169,7 +171,9 @@ class Cockpit:
         self.radio = Radio(self.wire)
         self.log = Log("uav", "test", Tally(), "warning")
         commander = Commander(self.radio, speedup, handling=Handling(self.log).of)
-        self.vehicle = RemoteVehicle(config or VehicleConfig(), commander, wait_s=wait_s, launched=launched)
+        self.vehicle = RemoteVehicle(
+            config or VehicleConfig(), commander, wait_s=wait_s, launched=launched, berth=berth
+        )
         self.search = Search(self.vehicle, START, after_stop, lambda _, text: self.said.append(text))
         self.bus = OneEnd(Log("uav", "test", Tally(), "error"))
         self.clients = RealClients(

@@ -8,7 +8,9 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.remote.safety import Check, Verdict
+from aircraft.search.together import Berth
 from aircraft.state import VehicleFailed
+from plume.geodesy import HOME as PLACE
 from plume.problem import Fenced
 from sitl.autopilot.config import VehicleConfig
 from tests.aircraft.remote.cockpit import Cockpit
@@ -288,3 +290,33 @@ def test_once_it_flies_there_is_no_such_limit(kind: str) -> None:
     cockpit = Cockpit(kind, wait_s=15.0)
     cockpit.reads(8)
     assert cockpit.now_s > 25.0
+
+
+# ---- one of several that search together ----
+
+
+@both
+def test_one_of_several_reads_in_the_plane_of_the_search_wherever_its_home_is(kind: str) -> None:
+    home = (1.2, -0.7, -0.4)
+    cockpit = Cockpit(kind, home=home, berth=Berth((2.0, 2.0), [(28.0, 28.0)], 3.0, PLACE))
+    cockpit.reads(2)
+    for (_, place), truth in zip(cockpit.readings, cockpit.truths, strict=True):
+        for axis in (0, 1):
+            assert place[axis] == pytest.approx(truth[axis] + home[axis], abs=0.05)
+        assert place[2] == pytest.approx(truth[2], abs=0.05)  # heights are above its own home
+    assert any("(--home); the vehicle's own home is (-0.7" in line for line in cockpit.said)
+
+
+def test_one_of_several_does_not_fly_from_a_home_whose_way_could_meet_another_s() -> None:
+    cockpit = Cockpit("ardupilot", wait_s=30.0, berth=Berth((28.0, 28.0), [(2.0, 2.0)], 3.0, PLACE))
+    last = gives_up(cockpit)
+    assert (
+        "is not nearer by 3 m (--separation) to its start (28.0, 28.0) than to another's (2.0, 2.0)" in last
+    )
+    assert not cockpit.ap.armed
+
+
+def test_one_of_several_waits_for_the_others_by_name() -> None:
+    cockpit = Cockpit("ardupilot", wait_s=30.0)
+    cockpit.absent = {"uav/3", "uav/2"}
+    assert gives_up(cockpit).endswith("(--wait): uav/2, uav/3 not ready to take off")

@@ -2,6 +2,7 @@
 nothing else, and says so.
 """
 
+import argparse
 import contextlib
 import datetime
 import itertools
@@ -13,12 +14,13 @@ import ssl
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
 import zenoh
 
+from ground.desk import status
 from ground.view.live import Roster
 from link.access.authority import make
 from link.access.crowds import MOST_FOR_ALL, MOST_OF_A_PART, Crowds
@@ -64,10 +66,24 @@ def name_of(role: str, vehicle: int = 1) -> str:
     return f"uav/{vehicle}/{role}" if role in ROLES else role
 
 
+OF_THE_SEARCH = {"waypoint", "belief", "agdc/stop", "departure", "leave-out", "health/estimator"}
+"""What a search of several has one of; of all else each of its vehicles has its own."""
+
+
+def in_a_search(role: str, vehicle: int = 1, search: int = 1) -> str:
+    """The name of a certificate in a search of several."""
+    if role not in ROLES:
+        return role
+    own = "" if role in ("estimator", "agent") else f"/uav/{vehicle}"
+    return f"search/{search}{own}/{role}"
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("certificates")
     make(path, [1, 2])
+    make(path, [1, 2], search=1)
+    make(path, [1], search=2)
     return path
 
 
@@ -79,20 +95,29 @@ def secure(folder: Path) -> Iterator[str]:
         yield endpoint
 
 
+EACH_OF_TWO = [name_of(role, vehicle) for vehicle in (1, 2) for role in EVERYBODY]
+KEYS_OF_ONE = [f"uav/1/{key}" for key in TABLED]
+
+
 class Clients:
     """A raw session for each role, and one that hears everything: none of them checks its own rights."""
 
-    def __init__(self, endpoint: str, folder: Path) -> None:
-        names = [name_of(role, vehicle) for vehicle in (1, 2) for role in ROLES] + ["operator", "observer"]
-        self.sessions = {name: session(endpoint, folder, name) for name in names}
+    def __init__(
+        self,
+        endpoint: str,
+        folder: Path,
+        names: Iterable[str] = EACH_OF_TWO,
+        keys: Iterable[str] = KEYS_OF_ONE,
+    ) -> None:
+        self.sessions = {name: session(endpoint, folder, name) for name in dict.fromkeys(names)}
         self.heard: list[tuple[str, str]] = []
         self._lock = threading.Lock()
         witness = self.sessions["observer"]
         self._held = [
             witness.declare_subscriber(
-                f"uav/1/{key}", lambda sample: self._hear("observer", sample), allowed_origin=REMOTE
+                key, lambda sample: self._hear("observer", sample), allowed_origin=REMOTE
             )
-            for key in TABLED
+            for key in keys
         ]
         self.settle("observer")  # or what is said at once would reach the router before its subscriptions
 
@@ -104,7 +129,8 @@ class Clients:
         """Wait until the router has handled all that a session has sent, and the session all that the
         router has.
         """
-        for _ in self.sessions[name].get(f"uav/{2 if '/2/' in name else 1}/nobody", timeout=60):
+        space = name.rpartition("/")[0] or "uav/1"
+        for _ in self.sessions[name].get(f"{space}/nobody", timeout=60):
             pass
 
     def subscribe(self, name: str, key: str) -> None:
@@ -160,6 +186,105 @@ def test_only_the_roles_of_the_table_receive_a_key(
     allowed = {name_of(role) for role in (readers | {"operator", "observer"}) - {min(writers)}}
     wait_until(lambda: {who for who, _ in clients.heard} >= allowed)
     assert {who for who, _ in clients.heard} == allowed
+
+
+# ---- in a search of several vehicles ----
+
+SEARCHERS = (
+    *(in_a_search(role, vehicle) for vehicle in (1, 2) for role in EVERYBODY),
+    *(name_of(role) for role in ROLES),
+    *(in_a_search(role, search=2) for role in ROLES),
+)
+"""The certificates of a search with two vehicles, of a vehicle that is alone, and of another search."""
+
+
+def key_in_a_search(key: str, vehicle: int = 1) -> str:
+    return f"search/1/{key}" if key in OF_THE_SEARCH else f"search/1/uav/{vehicle}/{key}"
+
+
+@pytest.fixture
+def searchers(secure: str, folder: Path) -> Iterator[Clients]:
+    keys = [key_in_a_search(key) for key in TABLED]
+    with contextlib.closing(Clients(secure, folder, SEARCHERS, keys)) as those:
+        yield those
+
+
+def entitled(roles: Iterable[str], key: str) -> set[str]:
+    """Who of these roles has a right to a key in a search: of a vehicle's own, vehicle 1."""
+    vehicles = (1, 2) if key in OF_THE_SEARCH else (1,)
+    return {in_a_search(role, vehicle) for role in roles for vehicle in vehicles}
+
+
+@pytest.mark.parametrize("key", TABLED)
+def test_in_a_search_a_vehicle_speaks_for_itself_alone(
+    searchers: Clients, key: str, wait_until: Callable[..., None]
+) -> None:
+    for name in searchers.sessions:
+        searchers.publish(name, key_in_a_search(key), name)
+    allowed = entitled(RIGHTS[key][0], key)
+    wait_until(lambda: {text for _, text in searchers.heard} >= allowed)
+    assert {text for _, text in searchers.heard} == allowed
+    if key not in OF_THE_SEARCH:
+        assert not [name for name in allowed if "uav/2" in name]
+
+
+@pytest.mark.parametrize("key", TABLED)
+def test_in_a_search_only_the_roles_of_the_table_receive_a_key(
+    searchers: Clients, key: str, wait_until: Callable[..., None]
+) -> None:
+    writers, readers = RIGHTS[key]
+    place, writer = key_in_a_search(key), in_a_search(min(writers))
+    for name, key_expr in itertools.product(searchers.sessions, (place, f"search/1/**/{key}", "**")):
+        searchers.subscribe(name, key_expr)
+    searchers.publish(writer, place, "said")
+    for name in searchers.sessions:
+        searchers.settle(name)
+    allowed = entitled((readers | {"operator", "observer"}) - {min(writers)}, key)
+    if key.startswith("health/"):  # all of a search hear who is there
+        allowed = {name for name in SEARCHERS if name.startswith("search/1/")} | {"operator", "observer"}
+    allowed.discard(writer)
+    wait_until(lambda: {who for who, _ in searchers.heard} >= allowed)
+    assert {who for who, _ in searchers.heard} == allowed
+
+
+def test_our_own_vehicle_2_cannot_speak_as_vehicle_1_and_says_so(
+    secure: str, folder: Path, wait_until: Callable[..., None]
+) -> None:
+    with (
+        Bus("estimator", secure, "search/1", secure=folder, vehicles=(1, 2)) as estimator,
+        Bus("uav", secure, "search/1", secure=folder, vehicles=(1,)) as first,
+        Bus("uav", secure, "search/1", secure=folder, vehicles=(2,)) as second,
+    ):
+        estimator.subscribe(READING)
+        estimator.settle(10)
+        second.publish(READING, b"a lie", vehicle=1)
+        second.publish(READING, b"of the second")
+        second.settle(10)
+        first.publish(READING, b"of the first")
+        heard = [estimator.receive(10) for _ in range(2)]
+        assert {(each.vehicle, each.payload) for each in heard} == {
+            (1, b"of the first"),
+            (2, b"of the second"),
+        }
+        assert estimator.services() == {"estimator", "uav/1", "uav/2"}
+
+
+def test_the_status_of_a_search_has_all_its_vehicles(
+    secure: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with contextlib.ExitStack() as stack:
+        for service, vehicles in (("estimator", (1, 2)), ("agent", ()), ("uav", (1,)), ("uav", (2,))):
+            bus = Bus(service, secure, "search/1", secure=folder, vehicles=vehicles)
+            stack.enter_context(bus).publish_health()
+        command = argparse.ArgumentParser()
+        status.add_arguments(command)
+        words = ["--connect", secure, "--secure", str(folder), "--json"]
+        status.run(command.parse_args(words))
+        (said,) = capsys.readouterr().out.splitlines()
+    report = json.loads(said)
+    assert report["namespace"] == "search/1"
+    heard = {name: part.get("state") for name, part in report["parts"].items()}
+    assert heard == dict.fromkeys(("uav/1", "uav/2", "estimator", "agent"), "ready")
 
 
 def test_who_may_not_publish_a_service_s_health_cannot_announce_it_either(clients: Clients) -> None:

@@ -103,6 +103,38 @@ def test_a_vehicle_has_a_number(folder: Path, namespace: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("service", "space", "wanted"),
+    [
+        ("estimator", "search/9", "search/1 to search/8"),
+        ("estimator", "search/1/uav/1", "search/1 to search/8"),
+        ("uav", "search/1", "search/1/uav/1 to search/8/uav/8"),
+        ("uav", "search/1/uav/9", "search/1/uav/1 to search/8/uav/8"),
+    ],
+)
+def test_a_search_and_its_vehicles_have_numbers(folder: Path, service: str, space: str, wanted: str) -> None:
+    with pytest.raises(AccessError, match=f"'{space}' is not allowed .* in a search of several {wanted}$"):
+        secured("--connect", "tls/127.0.0.1:7447", folder, service, space)
+
+
+@pytest.mark.parametrize(
+    ("service", "space", "flags"),
+    [
+        ("estimator", "search/2", "--search 2"),
+        ("uav", "search/2/uav/3", "--search 2 --vehicles 3"),
+    ],
+)
+def test_a_missing_certificate_of_a_search_is_named_with_what_makes_it(
+    folder: Path, service: str, space: str, flags: str
+) -> None:
+    with pytest.raises(AccessError, match=rf"cannot read .*plumeward certs \S+ {flags}\)$"):
+        secured("--connect", "tls/127.0.0.1:7447", folder, service, space)
+    make(folder, [3], search=2)
+    known = secured("--connect", "tls/127.0.0.1:7447", folder, service, space)[1]
+    assert known
+    assert known.name == f"{space}/{known.role}"
+
+
+@pytest.mark.parametrize(
     ("service", "name"),
     [
         ("uav", "uav/1/vehicle"),

@@ -23,4 +23,4 @@ class EmptyBus:
 
 def test_services_that_do_not_come_are_waited_for_no_longer_than_was_said() -> None:
     with pytest.raises(MissionFailed, match=r"no agent and estimator on uav/1 in 0\.01 s \(--wait\)"):
-        await_services(EmptyBus(), "uav/1", lambda _: None, 0.01)  # type: ignore[arg-type]
+        await_services(EmptyBus(), "uav/1", 1, lambda _: None, 0.01)  # type: ignore[arg-type]
