@@ -112,6 +112,7 @@ def test_the_json_has_the_fields_that_others_rely_on() -> None:
         "distances_m",
         "measured",
         "left",
+        "doubted",
         "trace",
     }
     assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}
