@@ -5,6 +5,7 @@ process that stays behind.
 import csv
 import json
 import math
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -156,6 +157,19 @@ def test_ctrl_c_ends_all_vehicles_and_leaves_nothing_behind(
     part.process.send_signal(signal.SIGINT)
     assert part.ended() == 130
     wait_until(lambda: all(map(has_ended, parts)))
+
+
+def test_a_vehicle_that_dies_before_the_search_is_left_behind(start: type[Part], tmp_path: Path) -> None:
+    part = start(
+        "sitl", "fly", "--vehicles", "2", "--policy", "random", "--speedup", "4", "--particles", "100", "--no-record",
+        "--assume", "paper", cwd=tmp_path,
+    )  # fmt: skip
+    vehicles: dict[str, int] = {}
+    while len(vehicles) < 2:
+        vehicles = processes_of(part)
+    os.kill(vehicles["2"], signal.SIGKILL)
+    assert part.ended() == 0, part.err
+    assert "warning: uav/2 has left the search at step 0: was killed by signal 9" in "".join(part.err)
 
 
 def processes_of(part: Part) -> dict[str, int]:
