@@ -267,7 +267,8 @@ def test_the_record_of_a_search_that_was_left_is_verified_and_told_as_it_was(
 # ---- a sensor that lies, and one that dies on the ground ----
 
 LYING = """
-{seed: 4, speedup: 10, fleet: {vehicles: 3, formation: corners}, estimator: {particles: 300, doubted: leave-out},
+{seed: 4, speedup: 0, fleet: {vehicles: 3, formation: corners}, estimator: {particles: 300, doubted: leave-out},
+agent: {budget: 14},
 events: [{step: 3, do: stuck, readings: 1000, vehicle: 2}, {step: 12, do: leave-out, vehicle: 2}]}
 """
 
