@@ -35,8 +35,9 @@ def up_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let missions be flown by a vehicle that has been up for almost 49.7 days."""
     start: Callable[..., Child] = Processes.start
 
-    def late(processes: Processes, part: str, module: str, *words: str) -> Child:
-        return start(processes, part, "tests.system.up_for_long" if part == "uav" else module, *words)
+    def late(processes: Processes, part: str, module: str, *words: str, **options: Any) -> Child:
+        module = "tests.system.up_for_long" if part == "uav" else module
+        return start(processes, part, module, *words, **options)
 
     monkeypatch.setattr(Processes, "start", late)
 
