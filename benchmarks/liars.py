@@ -25,7 +25,7 @@ from agent.trials.figures import wilson
 from agent.trials.rollout import mission
 from estimator.belief import stuck
 from estimator.filter import assimilate, prior
-from estimator.watch import SensorWatch
+from estimator.watch import Assimilated, SensorWatch
 from link import cli
 from link.terminal import tell
 from plume.outcome import verdict
@@ -92,13 +92,15 @@ def _searched(seed: int, lie: str, liar: int, leaving: Mapping[int, int]) -> tup
         watch, before, named, at = SensorWatch(flown.config, VEHICLES), prior(flown.config), 0, -1
         for number, step in enumerate(flown.steps):
             if not leaving and not named:
-                for reading in step.readings:
-                    after = assimilate(before, reading, flown.config)
-                    watch.take(before, after, reading)
-                    before = after
-                doubted = [*stuck(step.posterior, flown.config), *watch.look()]
+                doubted = [*stuck(step.posterior, flown.config), *watch.doubted]
                 if doubted and not step.belief.ceased:
                     named, at = doubted[0], number
+                taken = []
+                for reading in step.readings:
+                    after = assimilate(before, reading, flown.config)
+                    taken.append(Assimilated(before, after, reading))
+                    before = after
+                watch.look(taken)
     finally:
         replaced.RoundTime = RoundTime
     said = step.belief

@@ -10,7 +10,7 @@ from estimator.belief import belief, contributions, stop, stuck, warning
 from estimator.filter import Config, assimilate, forget, prior
 from estimator.gathering import Gathering
 from estimator.roll import OVERDUE_S, Roll
-from estimator.watch import SensorWatch
+from estimator.watch import Assimilated, SensorWatch
 from link.bus.keys import BELIEF, READING, STOP
 from link.bus.mavlink import BadFrame, Reading, split, unpack_reading
 from link.bus.messages import Belief, RoundReading, pack_particles
@@ -68,13 +68,13 @@ def run(
                 forgotten = gone
                 posterior = forget(posterior, forgotten, config)
                 watch.forget(forgotten)
+            steps = []
             for each in taken:
                 before, posterior = posterior, assimilate(posterior, each, config)
-                if len(systems) > 1:
-                    watch.take(before, posterior, each)
+                steps.append(Assimilated(before, posterior, each))
             summary, array = belief(posterior, taken[-1], config)
             if len(systems) > 1:
-                doubted = sorted({*stuck(posterior, config), *watch.look()})
+                doubted = sorted({*stuck(posterior, config), *watch.doubted})
                 summary = _of_all(summary, taken, known, doubted)
             particles = pack_particles(array)
             bus.tally.compute_s += time.perf_counter() - began
@@ -96,6 +96,8 @@ def run(
                 for vehicle in summary.doubted[: len(rounds.left()) - 1]:
                     roll.leave_out(vehicle, UNFIT)
                 bus.tally.about = _about(config, roll)
+            if len(systems) > 1 and not stopped:
+                watch.look(steps)  # after the answer, which vehicles wait for: the next one says what it saw
         # A repeated reading means that no answer arrived. Publishing the same belief again recovers from any
         # lost message. One that waits for those of other vehicles has no answer yet.
         if arrival and refused and summary is not None and not rounds.waits(arrival.vehicle):

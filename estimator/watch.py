@@ -14,6 +14,7 @@ readings are those before they are assimilated, estimated by particles: it holds
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,6 +86,14 @@ class _Suspect:
         return lies - max(together - self.others, self.sound)
 
 
+class Assimilated(NamedTuple):
+    """A reading, and the search's own posteriors before and after it."""
+
+    before: Posterior
+    after: Posterior
+    reading: Reading
+
+
 class SensorWatch:
     """Watches the sensors of several vehicles that search together."""
 
@@ -96,7 +105,6 @@ class SensorWatch:
         self._models = [self._of_gain(gain) for gain in GAINS] if known else []
         self._hums = type(config.sensor) is Gaussian
         self._taken: list[tuple[int, Array]] = []  # (vehicle, reading as the kernels take it)
-        self._round: list[tuple[int, Array]] = []
         self._begin(range(1, vehicles + 1))
 
     def _of_gain(self, gain: float) -> Model:
@@ -107,6 +115,7 @@ class SensorWatch:
     def _begin(self, vehicles: Iterable[int]) -> None:
         """Count from now on, with what has been read so far."""
         self._all = 0.0
+        self.doubted: Sequence[int] = ()  # the vehicle whose sensor seemed to lie when it was looked last
         floor = self._config.sensor.environment_noise if isinstance(self._config.sensor, Gaussian) else 0.0
         self._suspects: dict[int, _Suspect] = {}
         for vehicle in vehicles if self._models or self._hums else ():
@@ -117,32 +126,31 @@ class SensorWatch:
             hum = Hum(SCALE * floor * floor) if self._hums else None
             self._suspects[vehicle] = _Suspect(without, np.zeros(len(self._models)), hum)
 
-    def take(self, before: Posterior, after: Posterior, reading: Reading) -> None:
-        """Take a reading of a round, with the search's own posteriors before and after it."""
-        row = row_of(before, reading, self._config)
-        self._all += _log_evidence(before, after, row, self._config)
-        self._round.append((reading.vehicle, row))
+    def look(self, taken: Sequence[Assimilated]) -> None:
+        """Take the readings of a round, and say in `doubted` whose sensor seems to lie.
 
-    def look(self) -> Sequence[int]:
-        """Take the round; returns the vehicle whose sensor seems to lie, if there is one."""
+        This takes longer than to assimilate them: each vehicle has a belief without it.
+        """
+        fresh = []
+        for before, after, reading in taken:
+            row = row_of(before, reading, self._config)
+            self._all += _log_evidence(before, after, row, self._config)
+            fresh.append((reading.vehicle, row))
         for vehicle, suspect in self._suspects.items():
-            for other, row in self._round:
+            for other, row in fresh:
                 if other != vehicle:
                     before, suspect.without = suspect.without, with_row(suspect.without, row, self._few)
                     suspect.others += _log_evidence(before, suspect.without, row, self._few)
-            for own, row in self._round:
+            for own, row in fresh:
                 if own == vehicle:
                     suspect.gains += [_log_density(suspect.without, row, model) for model in self._models]
                     suspect.sound += _log_density(suspect.without, row, self._few.model)
                     if suspect.hum:
                         suspect.hum.read(float(row[5]))
-        self._taken += self._round
-        self._round = []
-        return self.doubted
+        self._taken += fresh
+        self.doubted = self._worst()
 
-    @property
-    def doubted(self) -> Sequence[int]:
-        """The vehicle whose sensor seemed to lie when it was looked last, if there is one."""
+    def _worst(self) -> Sequence[int]:
         if len(self._suspects) < 2:
             return ()
         odds = {vehicle: each.log_odds(self._all) for vehicle, each in self._suspects.items()}

@@ -40,9 +40,20 @@ class Shared(Reach):
 
     def are_free(self, position: tuple[float, float], places: Array) -> NDArray[np.bool_]:
         """Whether the ways from a position to places (A, 2) m are free and keep the separation: (A,)."""
-        others = np.concatenate([self.chosen, np.repeat(self.waiting[:, None], 2, axis=1)])
+        free = super().are_free(position, places)
+        if not len(others := self._near(np.asarray(position), places)):
+            return free
         apart = gaps(ways_from(position, places)[:, None], others) >= self.separation_m
-        return np.asarray(apart.all(axis=1) & super().are_free(position, places))
+        return np.asarray(apart.all(axis=1) & free)
+
+    def _near(self, position: Array, places: Array) -> Array:
+        """Return those of the others' ways that may be too near to one from a position to places (A, 2) m."""
+        others = np.concatenate([self.chosen, np.repeat(self.waiting[:, None], 2, axis=1)])
+        start, end = others[:, 0], others[:, 1]
+        longest = np.sqrt(np.square(places - position).sum(axis=1).max(initial=0.0))
+        own = np.sqrt(np.square(end - start).sum(axis=1))
+        away = np.sqrt(np.square(start - position).sum(axis=1))
+        return np.asarray(others[away - own - longest < 1.001 * self.separation_m])
 
     def foreseen(self, steps: float = 1.0) -> Array:
         """Return where those who have chosen will be so many steps on, if they go straight on: (F, 2) m."""

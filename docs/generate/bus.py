@@ -115,7 +115,8 @@ these:
    readings alone give, in the order of rounds and vehicles, from the prior on. The last vehicle that is left cannot be left out.
 10. Who was on the bus and is gone from it for `--overdue` seconds before any vehicle has read leaves at step 0: the others take off. For one that
    has not come yet all wait without end.
-11. A belief names in `doubted` the vehicles whose readings do not fit the others'. The estimator warns of them in its health.
+11. A belief names in `doubted` the vehicle whose readings of the rounds before do not fit the others', and those whose sensor is stuck.
+   The estimator warns of them in its health.
 
 ## Late joiners
 

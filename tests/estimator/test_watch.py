@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from estimator.filter import Config, assimilate, forget, prior
-from estimator.watch import SCALE, SHAPE, WORTH, Hum, SensorWatch
+from estimator.filter import Config, Posterior, assimilate, forget, prior
+from estimator.watch import SCALE, SHAPE, WORTH, Assimilated, Hum, SensorWatch
 from link.bus.mavlink import Reading
 from plume.scenario import draw
 from plume.sensors.names import parse
@@ -47,11 +47,19 @@ def named(taken: list[list[Reading]], told: Config, vehicles: int = 3) -> list[t
     """Whom a watch names after each round."""
     watch, posterior, said = SensorWatch(told, vehicles), prior(told), []
     for here in taken:
-        for reading in here:
-            before, posterior = posterior, assimilate(posterior, reading, told)
-            watch.take(before, posterior, reading)
-        said.append(tuple(watch.look()))
+        posterior = look(watch, posterior, here, told)
+        said.append(tuple(watch.doubted))
     return said
+
+
+def look(watch: SensorWatch, posterior: Posterior, here: list[Reading], told: Config) -> Posterior:
+    """Assimilate the readings of a round, and let the watch look; returns the posterior after them."""
+    steps = []
+    for reading in here:
+        before, posterior = posterior, assimilate(posterior, reading, told)
+        steps.append(Assimilated(before, posterior, reading))
+    watch.look(steps)
+    return posterior
 
 
 def honest(gas: float, _number: int) -> float:
@@ -100,12 +108,8 @@ def test_who_is_forgotten_is_named_no_more() -> None:
         if number == 10:
             posterior = forget(posterior, {2}, told)
             watch.forget({2})
-        for reading in here:
-            if number >= 10 and reading.vehicle == 2:
-                continue
-            before, posterior = posterior, assimilate(posterior, reading, told)
-            watch.take(before, posterior, reading)
-        watch.look()
+        left = [each for each in here if number < 10 or each.vehicle != 2]
+        posterior = look(watch, posterior, left, told)
         assert watch.doubted == () or number < 10
 
 
