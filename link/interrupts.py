@@ -25,7 +25,7 @@ SOON_S, LOADING_S = 0.05, 1.0
 NUMBA = f"{os.sep}numba{os.sep}"
 _lost: queue.SimpleQueue[int] = queue.SimpleQueue()
 _unanswered_since: float | None = None
-_lost_thread = False
+_lost_thread = _launched = False
 
 
 def on_end(handler: Callable[[int], object]) -> dict[int, Any]:
@@ -79,11 +79,18 @@ def interrupt() -> None:
         _end_without_thread,
     )
     threading.Thread(target=_send_again, name="signals", daemon=True).start()
+    global _launched
     launcher = os.environ.pop(LAUNCHER, None)  # the launcher is not the parent of what this process starts
     if launcher is not None:
+        _launched = True
         threading.Thread(
             target=_end_with_the_launcher, args=(int(launcher),), name="launcher", daemon=True
         ).start()
+
+
+def is_launched() -> bool:
+    """Whether a launcher has started this process, which ends with it."""
+    return _launched
 
 
 @contextlib.contextmanager

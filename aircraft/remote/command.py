@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import os
 
 from aircraft.bridge.address import parse_address
 from aircraft.keeper.connection import Connection
@@ -16,7 +15,7 @@ from aircraft.search.options import parse_wind
 from aircraft.search.search import Search
 from aircraft.search.uav import Equipment, Handling, Uav
 from aircraft.state import AircraftConfig
-from link.interrupts import LAUNCHER
+from link.interrupts import is_launched
 
 
 def run(args: argparse.Namespace, orders: Orders, config: AircraftConfig) -> int:
@@ -31,8 +30,7 @@ def run(args: argparse.Namespace, orders: Orders, config: AircraftConfig) -> int
         if risk := address.risk("speak as the vehicle"):
             log.warning(risk)
         commander = Commander(connection, orders.speedup, args.sysid, Handling(log).of)
-        launched = LAUNCHER in os.environ
-        vehicle = RemoteVehicle(config, commander, args.wait, launched=launched, berth=orders.berth)
+        vehicle = RemoteVehicle(config, commander, args.wait, launched=is_launched(), berth=orders.berth)
         return real_uav(vehicle, orders, equipment, parse_wind(args.wind) if args.wind else None)
 
     return fly(args, orders, make)

@@ -224,3 +224,17 @@ def test_a_command_answers_signals_before_it_loads_what_takes_long(
     }
     ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     assert (ran.returncode, ran.stdout, ran.stderr) == (INTERRUPTED, "", "")
+
+
+@pytest.mark.parametrize("launched", [True, False])
+def test_a_part_knows_its_launcher_and_what_it_starts_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, launched: bool
+) -> None:
+    monkeypatch.delenv("PLUMEWARD_LAUNCHER", raising=False)
+    if launched:
+        monkeypatch.setenv("PLUMEWARD_LAUNCHER", str(os.getpid()))
+    program = (
+        "import os\nfrom link import cli\nfrom link.interrupts import is_launched\n"
+        "def command():\n    print(is_launched(), 'PLUMEWARD_LAUNCHER' in os.environ)\ncli.run(command)"
+    )
+    assert run(program, tmp_path) == (0, f"{launched} False\n", "")
