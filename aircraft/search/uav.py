@@ -225,6 +225,9 @@ class Uav:
             wanted = self._sensor.takes_part(step)
             if len(places) != wanted and waypoint.time_boot_ms == self._search.answers.newest:
                 raise BadFrame(f"{len(places)} waypoints; wanted one for each of {wanted} vehicles")
+            for x, y in places:  # its own is judged by the vehicle
+                if (x, y) != (waypoint.y, waypoint.x) and (wrong := self._vehicle.config.outside((y, x, 0.0))):
+                    raise BadFrame(f"the waypoint of another vehicle, {wrong[1]}", wrong[0])
             if self._answer(waypoint):
                 self._sensor.go(places, step)
         elif arrival.key is WAYPOINT:
@@ -244,6 +247,8 @@ class Uav:
         """Take that a vehicle has left the search, and say it again, for an estimator that starts again."""
         if left.vehicle in self._left:
             return
+        if left.vehicle > self._sensor.among:
+            raise BadFrame(f"vehicle {left.vehicle} of {self._sensor.among} has left", "other vehicle")
         self._left.add(left.vehicle)
         self._sensor.leaves(left.vehicle, left.step)
         bus.publish(DEPARTURE, arrival.payload, arrival.attachment or None)

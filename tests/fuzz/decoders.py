@@ -19,6 +19,8 @@ DECODERS = {
     "belief": Decoder(services.belief_seeds, services.belief),
     "stop": Decoder(services.stop_seeds, services.stop),
     "waypoint": Decoder(services.mavlink_in_seeds, services.waypoint),
+    "plan": Decoder(services.plan_seeds, services.plan),
+    "departure": Decoder(services.departure_seeds, services.departure),
     "mavlink-in": Decoder(services.mavlink_in_seeds, services.mavlink_in),
     "clients": Decoder(services.clients_seeds, services.clients),
     "frames": Decoder(services.frames_seeds, services.frames),

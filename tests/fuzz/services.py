@@ -26,15 +26,17 @@ from estimator import service as estimator
 from estimator.filter import Config
 from link.bus.frames import FrameStream
 from link.bus.inbox import Inbox
-from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING, STOP, WAYPOINT, Key
+from link.bus.keys import BELIEF, DEPARTURE, MAVLINK_IN, MAVLINK_OUT, READING, STOP, WAYPOINT, Key
 from link.bus.log import LOGGER, Log
-from link.bus.mavlink import Codec, Reading, pack_reading, split, waypoint_message
-from link.bus.messages import Belief, Health, Stop, unpack_particles
+from link.bus.mavlink import Codec, Reading, pack_reading, split, unpack_reading, waypoint_message
+from link.bus.messages import Belief, Departure, Health, Stop, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.bus.tally import FAULT, REPEATED, Tally
+from link.cli import numbers
 from link.modes import Mode
 from link.record.reader import read
 from plume.problem import AREA
+from plume.problems.fleet import ALONE, Fleet
 from plume.scenario import draw
 from plume.sensors.names import GAUSSIAN
 from plume.worlds.world import World
@@ -61,7 +63,7 @@ class QuietBus(Bus):
     def __init__(self, *arrivals: Arrival) -> None:
         self.service, self.tally = "fuzzed", Tally()
         self.log = Log(self.service, "-", self.tally)
-        self._arrivals, self._given_at = list(arrivals), 0.0
+        self._arrivals, self._given_at, self._vehicles = list(arrivals), 0.0, (1,)
         self.published: list[tuple[Key, bytes, bytes]] = []
 
     @property
@@ -274,14 +276,15 @@ class _Told(Inbox):
 class _Flight:
     """A vehicle, its bus, and its loop."""
 
-    def __init__(self, *, searching: bool) -> None:
+    def __init__(self, *, searching: bool, fleet: Fleet = ALONE) -> None:
         clock = _SetClock()
         self.bus, self.vehicle, self.inbox = QuietBus(), Vehicle(VehicleConfig()), _Told(clock)
-        self._uav = simulated_uav(
-            self.vehicle, Orders(_world()), Equipment(clock, self.inbox, self.bus, Speaker(self.bus.log))
-        )
+        equipment = Equipment(clock, self.inbox, self.bus, Speaker(self.bus.log))
+        self._uav = simulated_uav(self.vehicle, Orders(_world()), equipment, 1, fleet)
         if searching:
-            self.goes_on(*(LivelinessChange(name, True) for name in ("estimator", "agent")), 20.0, 15.0, 0.0)
+            others = [f"uav/{number}" for number in numbers(fleet.vehicles)]
+            there = [LivelinessChange(name, True) for name in ("estimator", "agent", *others)]
+            self.goes_on(*there, 20.0, 15.0, 0.0)
 
     def goes_on(self, *items: Any) -> None:
         """Let the loop take these."""
@@ -406,6 +409,65 @@ def waypoint(data: bytes) -> None:
     )
     assert FAULT not in flight.bus.tally.refused
     _lives_on(flight)
+
+
+THREE = Fleet(3, "edge")
+
+
+@cache
+def _first_reading() -> int:
+    """Return the time_boot_ms of the first reading of one of three."""
+    flight = _Flight(searching=True, fleet=THREE)
+    return next(unpack_reading(data).time_boot_ms for key, data, _ in flight.bus.published if key is READING)
+
+
+def plan_seeds() -> list[bytes]:
+    """A round's waypoints, one that is not the newest, and one too few."""
+    now = _first_reading()
+    whole = [[waypoint_message(n, time, (4.0 * n, 6.0), 5.0) for n in (1, 2, 3)] for time in (now, now + 1)]
+    return [Codec(1, 191).pack(*plan) for plan in (*whole, whole[0][:2])]
+
+
+def plan(data: bytes) -> None:
+    """Whatever comes on the key of waypoints, one of three flies on, and what it reads next is a number."""
+    flight = _Flight(searching=True, fleet=THREE)
+    flight.goes_on(Arrival(WAYPOINT, as_sent(data), b""))
+    flight.goes_on(1.0, 30.0, 0.0)
+    for key, said, _ in flight.bus.published:
+        if key is READING:
+            unpack_reading(said)
+    assert FAULT not in flight.bus.tally.refused
+    _lives_on(flight)
+
+
+def departure_seeds() -> list[bytes]:
+    return [
+        msgspec.json.encode(Departure(2, 1, "lost")) + BETWEEN + FIRST,
+        msgspec.json.encode(Departure(1, 0, "its battery", forgotten=True)),
+    ]
+
+
+def departure(data: bytes) -> None:
+    """Whatever is said of who leaves, one of three lives on, and says each departure again once at most;
+    the estimator of three serves on.
+    """
+    payload, _, frames = as_sent(data).partition(BETWEEN)
+    said = Arrival(DEPARTURE, payload, frames)
+    flight = _Flight(searching=True, fleet=THREE)
+    flight.bus.published.clear()
+    flight.goes_on(said, said)
+    assert sum(key is DEPARTURE for key, *_ in flight.bus.published) <= 1
+    _lives_on(flight)
+    bus = QuietBus(said, *(Arrival(READING, pack, b"", name=READING.named(vehicle=n)) for n, pack in enumerate(_round(), 1)))
+    until_all_are_taken(lambda: estimator.run(bus, _config("paper"), [1, 2, 3]))
+    assert FAULT not in bus.tally.refused
+
+
+def _round() -> list[bytes]:
+    """Return a reading of each of three."""
+    return [
+        pack_reading(Codec(n, 1), Reading(1000, (2.0 * n, 3.0), 5.0, (1.5, 0.5), 0.5)) for n in (1, 2, 3)
+    ]
 
 
 def stop_seeds() -> list[bytes]:
