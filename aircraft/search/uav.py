@@ -225,8 +225,9 @@ class Uav:
             wanted = self._sensor.takes_part(step)
             if len(places) != wanted and waypoint.time_boot_ms == self._search.answers.newest:
                 raise BadFrame(f"{len(places)} waypoints; wanted one for each of {wanted} vehicles")
-            for x, y in places:  # its own is judged by the vehicle
-                if (x, y) != (waypoint.y, waypoint.x) and (wrong := self._vehicle.config.outside((y, x, 0.0))):
+            own = waypoint.y, waypoint.x  # the vehicle judges it
+            for x, y in (place for place in places if place != own):
+                if wrong := self._vehicle.config.outside((y, x, 0.0)):
                     raise BadFrame(f"the waypoint of another vehicle, {wrong[1]}", wrong[0])
             if self._answer(waypoint):
                 self._sensor.go(places, step)

@@ -27,6 +27,7 @@ class VehicleConfig(AircraftConfig):
     home_lon_deg: float = HOME[1]
     home_alt_m: float = 488.0  # above mean sea level
     home_heading_deg: float = 0.0
+    stand: NorthEast = (0.0, 0.0)  # where it stands before its flight, and comes back to: by default at home
     speed_mps: float = SPEED_MPS
     climb_mps: float = 3.0
     descent_mps: float = 1.5

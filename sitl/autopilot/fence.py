@@ -119,9 +119,9 @@ class Rally(NamedTuple):
     places: tuple[NorthEast, ...] = ()
     number: int = 0  # the checksum of the items that they were made of; 0 without rally points
 
-    def nearest(self, position: Ned) -> NorthEast:
+    def nearest(self, position: Ned, home: NorthEast) -> NorthEast:
         """Return the nearest of home and the rally points, as PX4's RTL_TYPE 0 does; home if equally near."""
-        return min(((0.0, 0.0), *self.places), key=lambda place: math.dist(place, position[:2]))
+        return min((home, *self.places), key=lambda place: math.dist(place, position[:2]))
 
 
 NO_FENCE, NO_RALLY = Fence(), Rally()

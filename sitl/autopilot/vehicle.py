@@ -14,7 +14,6 @@ from pymavlink.dialects.v20 import common as mavlink
 from aircraft.state import (
     ACCEPTED,
     LOW_BATTERY,
-    ZERO,
     Arrived,
     Ned,
     Reached,
@@ -110,7 +109,7 @@ class Battery:
 
 
 class Vehicle:
-    """One simulated multirotor with its autopilot. It starts at home at time 0, disarmed, its battery full.
+    """One simulated multirotor with its autopilot. It begins at its stand, at time 0, disarmed, battery full.
 
     Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`, `load`, `set_current`) takes
     the simulation time in s and first handles all events due by then. Time that runs backwards raises
@@ -135,7 +134,7 @@ class Vehicle:
         self._battery = Battery()
         self._failsafe = False
         self._has_flown = False  # since it was armed
-        self._path = Trajectory(0.0, ZERO)
+        self._path = Trajectory(0.0, (*config.stand, 0.0))
         heading = wrapped(math.radians(config.home_heading_deg))
         self._turn = turn(0.0, heading, heading, math.radians(config.yaw_rate_dps))
         self._leg: Leg | None = None  # of the mission, while one is flown
@@ -458,9 +457,8 @@ class Vehicle:
         path, limits = self._halted(), self.config.limits
         north, east, down = path.target
         down = min(down, -self.config.return_altitude_m)
-        self._fly(
-            path.to((north, east, down), limits).to((*self.config.rally.nearest(path.target), down), limits)
-        )
+        end = self.config.rally.nearest(path.target, self.config.stand)
+        self._fly(path.to((north, east, down), limits).to((*end, down), limits))
 
     # ---- the path ----
 

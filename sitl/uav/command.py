@@ -18,7 +18,7 @@ from plume.problems.options import add_fleet_arguments
 from sitl.autopilot.vehicle import Vehicle
 from sitl.script.options import ORIGIN_WANTED, fleet_of, origin_of, script_for_vehicle, script_of
 from sitl.script.script import Script
-from sitl.uav.options import add_vehicle_arguments, at_own_home, longest_wait_s
+from sitl.uav.options import add_vehicle_arguments, at_own_home, at_own_stand, longest_wait_s
 from sitl.uav.simulated import simulated_uav
 
 REAL_VEHICLE = "aircraft.remote.command"  # flies a real vehicle; loaded only then
@@ -73,6 +73,8 @@ def run(args: argparse.Namespace) -> int:
         return int(import_module(REAL_VEHICLE).run(args, orders, config))
     # All of a search have one home, the origin of what they search: that of the first one.
     config = at_own_home(config, max(args.instance + 1 - number, 0))
+    if together:
+        config = at_own_stand(config, orders.berth, number)
     vehicle = Vehicle(config)
     return fly(args, orders, lambda equipment, _: simulated_uav(vehicle, orders, equipment, number, fleet))
 

@@ -8,6 +8,7 @@ from typing import get_args
 
 from aircraft.bridge.address import parse_out
 from aircraft.search.search import AfterStop
+from aircraft.search.together import Berth
 from link import cli
 from link.signing.key import read_key
 from plume.flight import TRY_AGAIN_S, leg_s
@@ -98,6 +99,16 @@ def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:
     apart_m = max(HOMES_APART_M, config.flown.size_m[0] + HOMES_APART_M / 4)
     lat_deg, lon_deg = to_global(usual.home_lat_deg, usual.home_lon_deg, 0.0, apart_m * instance)
     return replace(config, home_lat_deg=lat_deg, home_lon_deg=lon_deg)
+
+
+def at_own_stand(config: VehicleConfig, berth: Berth, number: int) -> VehicleConfig:
+    """Return the configuration of one of several, which stands where its search begins.
+
+    It returns there, each vehicle at an altitude of its own: the next one higher by the separation.
+    """
+    x, y = berth.start
+    higher_m = config.return_altitude_m + (number - 1) * berth.separation_m
+    return replace(config, stand=(y, x), return_altitude_m=min(higher_m, config.ceiling_m))
 
 
 def longest_wait_s(config: VehicleConfig, dwell_s: float) -> float:

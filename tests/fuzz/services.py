@@ -458,16 +458,17 @@ def departure(data: bytes) -> None:
     flight.goes_on(said, said)
     assert sum(key is DEPARTURE for key, *_ in flight.bus.published) <= 1
     _lives_on(flight)
-    bus = QuietBus(said, *(Arrival(READING, pack, b"", name=READING.named(vehicle=n)) for n, pack in enumerate(_round(), 1)))
+    bus = QuietBus(
+        said,
+        *(Arrival(READING, pack, b"", name=READING.named(vehicle=n)) for n, pack in enumerate(_round(), 1)),
+    )
     until_all_are_taken(lambda: estimator.run(bus, _config("paper"), [1, 2, 3]))
     assert FAULT not in bus.tally.refused
 
 
 def _round() -> list[bytes]:
     """Return a reading of each of three."""
-    return [
-        pack_reading(Codec(n, 1), Reading(1000, (2.0 * n, 3.0), 5.0, (1.5, 0.5), 0.5)) for n in (1, 2, 3)
-    ]
+    return [pack_reading(Codec(n, 1), Reading(1000, (2.0 * n, 3.0), 5.0, (1.5, 0.5), 0.5)) for n in (1, 2, 3)]
 
 
 def stop_seeds() -> list[bytes]:

@@ -22,7 +22,7 @@ from mcap.reader import make_reader
 from agent.trials.rollout import mission, rollout
 from ground.view.records import RecordedFleet
 from link.bus.keys import BELIEF, DEPARTURE, HEALTH, STOP
-from link.bus.mavlink import unpack_reading
+from link.bus.mavlink import message_of, split, unpack_reading
 from link.bus.messages import Belief, Departure, Health, RoundReading, Stop, by_vehicle, pack_particles
 from link.bus.session import Bus, part_of
 from link.record.reader import read
@@ -531,6 +531,19 @@ def test_a_record_has_the_readings_of_all_vehicles_under_their_keys(recorded: Pa
         assert len(set(times)) == 5
     keys = {entry.key for entry in log.entries}
     assert {"belief", "waypoint", "uav/1/mavlink/out", "uav/2/mavlink/out", "uav/2/health/uav"} <= keys
+
+
+def test_each_vehicle_takes_off_and_lands_where_it_reads_first(recorded: Path) -> None:
+    log = read(recorded)
+    for number in (1, 2):
+        own = {key: [entry.payload for entry in log.entries if entry.key == f"uav/{number}/{key}"]
+               for key in ("reading", "mavlink/out")}  # fmt: skip
+        east, north = unpack_reading(own["reading"][0], number).position
+        frames = [frame for payload in own["mavlink/out"] for frame in split(payload)]
+        said = [message_of(frame) for frame in frames if frame.message_id == 32]  # LOCAL_POSITION_NED
+        stand = pytest.approx((north, east, 0.0), abs=0.01)
+        assert (said[0].x, said[0].y, said[0].z) == (said[-1].x, said[-1].y, said[-1].z) == stand
+        assert min(each.z for each in said) < -4.9
 
 
 def test_a_replayed_record_gives_the_same_beliefs_and_waypoints(
