@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         return int(import_module(REAL_VEHICLE).run(args, orders, config))
     # All of a search have one home, the origin of what they search: that of the first one.
     config = at_own_home(config, max(args.instance + 1 - number, 0))
-    if together:
+    if orders.berth:
         config = at_own_stand(config, orders.berth, number)
     vehicle = Vehicle(config)
     return fly(args, orders, lambda equipment, _: simulated_uav(vehicle, orders, equipment, number, fleet))

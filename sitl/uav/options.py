@@ -104,10 +104,10 @@ def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:
 def at_own_stand(config: VehicleConfig, berth: Berth, number: int) -> VehicleConfig:
     """Return the configuration of one of several, which stands where its search begins.
 
-    It returns there, each vehicle at an altitude of its own: the next one higher by the separation.
+    It returns there above those that search on, each at an altitude of its own, the separation apart.
     """
     x, y = berth.start
-    higher_m = config.return_altitude_m + (number - 1) * berth.separation_m
+    higher_m = max(config.return_altitude_m, config.takeoff_altitude_m) + number * berth.separation_m
     return replace(config, stand=(y, x), return_altitude_m=min(higher_m, config.ceiling_m))
 
 

@@ -62,7 +62,7 @@ def test_ways_home_that_cross_are_at_different_altitudes(same_altitude: bool) ->
     """Two at (20, 20) and (0, 20) return at once to (0, 0) and (20, 0): at one altitude they meet at (10, 10)."""
     vehicles = standing([(0.0, 0.0), (20.0, 0.0)])
     if same_altitude:
-        vehicles[1].configure(0.0, replace(vehicles[1].config, return_altitude_m=5.0))
+        vehicles[1].configure(0.0, replace(vehicles[1].config, return_altitude_m=8.0))
     up(vehicles)
     least_until(vehicles, 5.0)
     for vehicle, (x, y) in zip(vehicles, [(20.0, 20.0), (0.0, 20.0)], strict=True):
@@ -79,8 +79,8 @@ def test_ways_home_that_cross_are_at_different_altitudes(same_altitude: bool) ->
 
 def test_no_way_home_is_above_the_ceiling() -> None:
     assert [vehicle.config.return_altitude_m for vehicle in standing([(0.0, 0.0)] * 4, ceiling_m=9.0)] == [
-        5.0,
         8.0,
+        9.0,
         9.0,
         9.0,
     ]
