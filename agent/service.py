@@ -156,7 +156,9 @@ def check(belief: Belief, area: Area) -> None:
     if not len(names) == len(belief.means) == len(belief.stds):
         raise ValueError(f"{len(belief.means)} means and {len(belief.stds)} stds of {len(names)} unknowns")
     _check_readings(belief)
-    for position in (belief.position, *(each.position for each in belief.readings or ())):
+    if len(left_at := belief.left_at or ()) > (most := 2 * (MOST_VEHICLES - 1)):
+        raise ValueError(f"{len(left_at)} places of those that have left; wanted {most} at most")
+    for position in (belief.position, *(each.position for each in belief.readings or ()), *left_at):
         if not area.holds(position):
             raise ValueError(f"position {position} is outside the area {area.text}")
     positive = belief.rate, belief.diffusivity, belief.lifetime

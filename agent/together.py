@@ -31,29 +31,34 @@ def choose_all(
     some may have left.
     """
     numbers = range(1, len(places) + 1) if numbers is None else numbers
-    if len(places) == 1:
+    left_at = belief.left_at or ()
+    if len(places) == 1 and not left_at:
         return [choose(name, belief, particles, seed_of(seed, numbers[0]), within)]
 
     def decide(vehicle: int, reach: Shared) -> Place:
         seen = seen_by(belief, places[vehicle], gases[vehicle])
         return choose(name, seen, particles, seed_of(seed, numbers[vehicle]), reach)
 
-    return in_turn(within, places, separation_m, decide)
+    return in_turn(within, places, separation_m, decide, left_at)
 
 
 def in_turn(
-    within: Reach, places: Sequence[Place], separation_m: float, decide: Callable[[int, Shared], Place]
+    within: Reach,
+    places: Sequence[Place],
+    separation_m: float,
+    decide: Callable[[int, Shared], Place],
+    left_at: Sequence[Place] = (),
 ) -> list[Place]:
     """Let each vehicle decide on its next place, one after the other; returns where they may go.
 
     decide: of a vehicle, from 0, and its moves. A way that is too near to another's is turned aside, or the
-    vehicle stays where it is.
+    vehicle stays where it is.  left_at: near which places those may be that have left.
     """
-    here = np.array(places, np.float64)
+    here, hovering = np.array(places, np.float64), np.array(left_at, np.float64).reshape(-1, 2)
     chosen: list[Place] = []
     for vehicle, place in enumerate(places):
         ways = np.stack([here[:vehicle], np.array(chosen, np.float64).reshape(-1, 2)], axis=1)
-        reach = Shared.of(within, ways, here[vehicle + 1 :], separation_m)
+        reach = Shared.of(within, ways, here[vehicle + 1 :], separation_m, hovering)
         chosen.append(reach.freed(place, decide(vehicle, reach)))
     return chosen
 

@@ -1,7 +1,7 @@
 """The messages after a reading: the belief, its particles, and the stop (AGDC)."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -16,6 +16,7 @@ from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Contribution, Particles, Stop
 from plume.elementary import Array, Indices, direction
 from plume.parameters import PARAMETERS
+from plume.problems.fleet import Place
 from plume.scenario import INCOMPATIBLE, SURE_OUTSIDE
 
 RECENT = 30  # recent readings in the test of whether they fit the model
@@ -125,6 +126,18 @@ def fit(posterior: Posterior, config: Config) -> float:
     if stuck(posterior, config):
         return 0.0
     return 1.0 if len(ranks) < FEWEST else float(uniformity_p_value(ranks[-RECENT:]))
+
+
+def left_at(
+    read_at: Mapping[int, Sequence[Place]], numbers: Collection[int]
+) -> tuple[Place, ...] | msgspec.UnsetType:
+    """Return where those have read, first and last, that take no part in a round any more.
+
+    UNSET: there are none.  read_at: the first and the last place, (x, y) m, of each vehicle that has ever
+    read.  numbers: those of the round.
+    """
+    gone = [each for number, each in sorted(read_at.items()) if number not in numbers]
+    return tuple(place for each in gone for place in each) or msgspec.UNSET
 
 
 def stuck(posterior: Posterior, config: Config) -> Sequence[int]:

@@ -1,12 +1,12 @@
 """The estimator service: takes readings, publishes one belief for each, and one stop."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import msgspec
 
 from estimator.admission import refusal
-from estimator.belief import belief, contributions, stop, stuck, warning
+from estimator.belief import belief, contributions, left_at, stop, stuck, warning
 from estimator.filter import Config, assimilate, forget, prior
 from estimator.gathering import Gathering
 from estimator.roll import OVERDUE_S, Roll
@@ -16,6 +16,7 @@ from link.bus.mavlink import BadFrame, Reading, split, unpack_reading
 from link.bus.messages import Belief, RoundReading, pack_particles
 from link.bus.session import Bus
 from link.bus.tally import REPEATED
+from plume.problems.fleet import Place
 
 UNFIT = "its readings do not fit those of the others"  # why one is left out by rule
 
@@ -41,6 +42,7 @@ def run(
     posterior = prior(config)
     watch = SensorWatch(config, len(systems) if len(systems) > 1 else 0)
     summary, particles = None, b""
+    read_at: dict[int, Sequence[Place]] = {}  # where each vehicle has read, first and last
     stopped, forgotten = False, frozenset[int]()
     while True:
         arrival, refused = roll.receive(), None
@@ -75,7 +77,9 @@ def run(
             summary, array = belief(posterior, taken[-1], config)
             if len(systems) > 1:
                 doubted = sorted({*stuck(posterior, config), *watch.doubted})
-                summary = _of_all(summary, taken, known, doubted)
+                for each in taken:
+                    read_at[each.vehicle] = read_at.get(each.vehicle, [each.position])[0], each.position
+                summary = _of_all(summary, taken, known, doubted, read_at)
             particles = pack_particles(array)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(summary.step)
@@ -106,9 +110,16 @@ def run(
 
 
 def _of_all(
-    said: Belief, taken: Sequence[Reading], systems: Sequence[int | None], doubted: Sequence[int]
+    said: Belief,
+    taken: Sequence[Reading],
+    systems: Sequence[int | None],
+    doubted: Sequence[int],
+    read_at: Mapping[int, Sequence[Place]],
 ) -> Belief:
-    """Return a round's belief with the readings that it answers, and whose sensor seems to lie."""
+    """Return a round's belief with the readings that it answers, whose sensor seems to lie, and who has left.
+
+    read_at: where each vehicle that has ever read has read, first and last.
+    """
     readings = tuple(
         RoundReading(
             vehicle=each.vehicle,
@@ -121,7 +132,10 @@ def _of_all(
         for each in taken
     )
     return msgspec.structs.replace(
-        said, readings=readings, doubted=tuple(doubted) if doubted else msgspec.UNSET
+        said,
+        readings=readings,
+        doubted=tuple(doubted) if doubted else msgspec.UNSET,
+        left_at=left_at(read_at, [each.vehicle for each in taken]),
     )
 
 

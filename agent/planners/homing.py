@@ -6,8 +6,8 @@ docs/planners.md compares it with the others.
 import numpy as np
 
 from agent.planning.around import distances as distances_of
-from agent.planning.moves import Reach
-from agent.planning.predict import Cloud, cloud, entropy_spread, imagine, lengths
+from agent.planning.moves import Reach, lengths
+from agent.planning.predict import Cloud, cloud, entropy_spread, imagine
 from link.bus.messages import Belief, Particles
 from plume.elementary import Array
 from plume.numerics import exp_each, log_each

@@ -3,8 +3,8 @@
 import numpy as np
 
 from agent.planning.around import distances as distances_of
-from agent.planning.moves import Reach
-from agent.planning.predict import cloud, entropy_spread, imagine_along, lengths
+from agent.planning.moves import Reach, lengths
+from agent.planning.predict import cloud, entropy_spread, imagine_along
 from link.bus.messages import Belief, Particles
 from plume.elementary import Array
 from plume.numerics import exp_each

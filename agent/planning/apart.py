@@ -5,10 +5,13 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.moves import Reach, ways_from
+from agent.planning.moves import Reach, lengths, ways_from
 from plume.elementary import Array
 from plume.polygons.polygons import gaps
 from plume.scenario import SEPARATION_M
+
+NOWHERE: Array = np.empty((0, 2))
+AWAY = 0.7  # m by which a way has to lead away for each metre of it: no more than 45° aside
 
 
 @dataclass(frozen=True)
@@ -17,7 +20,8 @@ class Shared(Reach):
 
     A way is the straight line from a place to the next one. Ways keep their distance as lines, whenever each
     vehicle flies its own: a late vehicle is as safe as one on time. The ways of vehicles that have not chosen
-    yet end where they begin, so everyone can always stay where it is.
+    yet end where they begin, so everyone can always stay where it is. Those that have left may hover: who is
+    near them goes away.
     """
 
     chosen: Array = field(
@@ -25,12 +29,27 @@ class Shared(Reach):
     )  # (F, 2, 2): from, to, m
     waiting: Array = field(default_factory=lambda: np.empty((0, 2)), compare=False)  # (W, 2) m, yet to choose
     separation_m: float = SEPARATION_M
+    hovering: Array = field(default_factory=lambda: np.empty((0, 2)), compare=False)  # (H, 2) m, near these
+    clear_m: float = 0.0  # least distance of ways from those, unless they begin nearer and lead away
 
     @classmethod
-    def of(cls, reach: Reach, chosen: Array, waiting: Array, separation_m: float) -> "Shared":
-        """Return `reach` for a vehicle whose turn it is."""
+    def of(
+        cls, reach: Reach, chosen: Array, waiting: Array, separation_m: float, hovering: Array = NOWHERE
+    ) -> "Shared":
+        """Return `reach` for a vehicle whose turn it is.
+
+        hovering: (H, 2) m where those have read that have left: each is at most a step from there.
+        """
         given = {each.name: getattr(reach, each.name) for each in fields(Reach)}
-        return cls(**given, chosen=chosen, waiting=waiting, separation_m=separation_m)
+        clear_m = separation_m + reach.step
+        return cls(
+            **given,
+            chosen=chosen,
+            waiting=waiting,
+            separation_m=separation_m,
+            hovering=hovering,
+            clear_m=clear_m,
+        )
 
     def moves(self, position: tuple[float, float]) -> Array:
         """Return the waypoints (A, 2) m that one step reaches by free ways; if none, the place itself."""
@@ -41,18 +60,30 @@ class Shared(Reach):
     def are_free(self, position: tuple[float, float], places: Array) -> NDArray[np.bool_]:
         """Whether the ways from a position to places (A, 2) m are free and keep the separation: (A,)."""
         free = super().are_free(position, places)
+        if len(self.hovering):
+            free = free & self._are_clear_of_those_that_left(np.asarray(position), places)
         if not len(others := self._near(np.asarray(position), places)):
             return free
         apart = gaps(ways_from(position, places)[:, None], others) >= self.separation_m
         return np.asarray(apart.all(axis=1) & free)
 
+    def _are_clear_of_those_that_left(self, position: Array, places: Array) -> NDArray[np.bool_]:
+        """Whether ways from a position to places (A, 2) m keep clear of those that have left: (A,).
+
+        A way that begins too near to one has to lead away from it.
+        """
+        there = np.repeat(self.hovering[:, None], 2, axis=1)
+        clear = gaps(ways_from(position, places)[:, None], there) >= self.clear_m
+        now, then = (lengths(self.hovering - place) for place in (position, places[:, None]))
+        away = then >= now + AWAY * lengths(places - position)[:, None]
+        return np.asarray((clear | (now < self.clear_m) & away).all(axis=1))
+
     def _near(self, position: Array, places: Array) -> Array:
         """Return those of the others' ways that may be too near to one from a position to places (A, 2) m."""
         others = np.concatenate([self.chosen, np.repeat(self.waiting[:, None], 2, axis=1)])
         start, end = others[:, 0], others[:, 1]
-        longest = np.sqrt(np.square(places - position).sum(axis=1).max(initial=0.0))
-        own = np.sqrt(np.square(end - start).sum(axis=1))
-        away = np.sqrt(np.square(start - position).sum(axis=1))
+        longest = lengths(places - position).max(initial=0.0)
+        own, away = lengths(end - start), lengths(start - position)
         return np.asarray(others[away - own - longest < 1.001 * self.separation_m])
 
     def foreseen(self, steps: float = 1.0) -> Array:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from agent.planning import kernels
-from agent.planning.predict import Cloud, lengths
+from agent.planning.moves import lengths
+from agent.planning.predict import Cloud
 from plume.elementary import Array
 from plume.polygons.obstacles import Obstacles
 from plume.problem import Area

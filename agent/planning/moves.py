@@ -128,6 +128,11 @@ class Reach:
         return np.stack(direction(np.arange(self.headings) / self.headings), axis=1)
 
 
+def lengths(vectors: Array) -> Array:
+    """Return the lengths (...) of vectors (..., 2)."""
+    return np.asarray(np.sqrt(np.square(vectors).sum(axis=-1)))
+
+
 def ways_from(position: tuple[float, float], places: Array) -> Array:
     """Return the straight ways from a position to places (..., 2) m: (..., 2, 2)."""
     return np.stack(np.broadcast_arrays(np.asarray(position, np.float64), places), axis=-2)

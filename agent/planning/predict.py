@@ -84,11 +84,6 @@ def cloud(belief: Belief, particles: Particles) -> Cloud:
     return Cloud(np.vstack([x, y, *columns.values()]), weights / weights.sum())
 
 
-def lengths(vectors: Array) -> Array:
-    """Return the lengths (...) of vectors (..., 2)."""
-    return np.asarray(np.sqrt(np.square(vectors).sum(axis=-1)))
-
-
 def _names(belief: Belief) -> tuple[str, ...]:
     """Names of the rows of a belief's `Cloud`."""
     return ("x", "y", *(name for name in belief.unknowns if name not in ("x", "y")))

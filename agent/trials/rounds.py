@@ -6,7 +6,9 @@ from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-from estimator.belief import belief
+import msgspec
+
+from estimator.belief import belief, left_at
 from estimator.filter import Config, Posterior, assimilate, forget, prior
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
@@ -50,6 +52,7 @@ class Rounds:
         self._posterior = prior(config)
         self._time = RoundTime(world, starts)
         self._before: list[Before | None] = [None] * len(starts)
+        self._read_at: dict[int, Sequence[Place]] = {}  # where each vehicle has read, first and last
         self._leaving, self._forgotten = leaving, forgotten
         self.numbers: Sequence[int] = range(1, len(starts) + 1)  # of the vehicles of the last round
 
@@ -82,6 +85,10 @@ class Rounds:
         for reading in readings:
             self._posterior = assimilate(self._posterior, reading, self._config)
         said, particles = belief(self._posterior, readings[-1], self._config)
+        for each in readings:
+            first = self._read_at.get(each.vehicle, [each.position])[0]
+            self._read_at[each.vehicle] = first, each.position
+        said = msgspec.structs.replace(said, left_at=left_at(self._read_at, self.numbers))
         return Round(readings, said, particles, self._posterior, time.process_time() - began)
 
     def _reading(self, vehicle: int) -> Reading:

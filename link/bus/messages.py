@@ -158,6 +158,14 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "others', or whose sensor is stuck; absent if there are none"
         ),
     ] = msgspec.UNSET
+    left_at: Annotated[
+        tuple[Pair, ...] | msgspec.UnsetType,
+        Meta(
+            description="of a search by several vehicles: where each that has left has read first, and last, "
+            "(x, y) m; it may hover near the one or land at the other, and the others keep clear of both; "
+            "absent if there are none"
+        ),
+    ] = msgspec.UNSET
 
 
 class Contribution(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

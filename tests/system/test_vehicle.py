@@ -170,7 +170,7 @@ def test_a_mission_on_px4_with_a_sensor_on_a_serial_line_claims_nothing_about_a_
             return flight.process.poll() is not None
 
         wait_until(over)
-    assert flight.ended() == 0, flight.err
+    assert flight.ended() == 0, "".join(flight.err)
     said = json.loads(flight.out[-1])
     assert [said[name] for name in ("located", "error_m", "source", "scenario")] == [None] * 4
     assert [step["reading"] for step in said["trace"]] == [0.25] * 3

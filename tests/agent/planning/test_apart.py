@@ -70,3 +70,42 @@ def test_those_who_have_chosen_are_foreseen_on_their_way_and_inside_the_area() -
     assert reach.foreseen(2.0).tolist() == [[10.0, 5.0], [30.0, 5.0]]
     assert reach.others.tolist() == [[9.0, 5.0], [30.0, 5.0], [1.0, 1.0]]
     assert Reach().foreseen().shape == (0, 2)
+
+
+def test_ways_that_are_too_far_away_to_be_measured_change_nothing_of_what_is_free() -> None:
+    """Held against the gaps to all ways, at separations that are small and large."""
+    rng = np.random.default_rng(5)
+    free = 0
+    for separation_m in (0.0, 0.5, 3.0, 8.0) * 50:
+        chosen, waiting = rng.random((3, 2, 2)) * 30, rng.random((2, 2)) * 30
+        chosen[:, 1] = chosen[:, 0] + rng.normal(0, 1, (3, 2))
+        reach, here = shared(chosen, waiting, separation_m), rng.random(2) * 30
+        places = here + rng.normal(0, 1, (6, 2))
+        ways = np.stack([np.broadcast_to(here, (6, 2)), places], axis=1)[:, None]
+        others = np.concatenate([chosen, np.repeat(waiting[:, None], 2, axis=1)])
+        expected = (gaps(ways, others) >= separation_m).all(axis=1)
+        assert (reach.are_free(tuple(here), places) == expected).all()
+        free += expected.sum()
+    assert 200 < free < 1000  # of 1,200: some are and some are not
+
+
+def after_leaving(*left_at: tuple[float, float]) -> Shared:
+    nobody = np.empty((0, 2))
+    return Shared.of(Reach(headings=8), nobody.reshape(0, 2, 2), nobody, 3.0, np.array(left_at))
+
+
+def test_ways_keep_a_step_more_than_the_separation_from_where_one_has_left() -> None:
+    reach = after_leaving((10.0, 5.0))
+    assert reach.are_free((5.0, 5.0), np.array([[6.0, 5.0], [6.01, 5.0]])).tolist() == [True, False]
+
+
+def test_who_is_near_one_that_has_left_goes_away_from_it_or_stays() -> None:
+    """3.5 m east of it the free ways lead east, north-east and south-east: no more than 45° aside."""
+    free = after_leaving((10.0, 5.0)).moves((13.5, 5.0))
+    assert free == pytest.approx(
+        np.array([[14.5, 5.0], [13.5 + 0.5**0.5, 5.0 + 0.5**0.5], [13.5 + 0.5**0.5, 5.0 - 0.5**0.5]]),
+        abs=1e-5,
+    )
+    assert after_leaving((10.0, 5.0)).are_free((13.5, 5.0), np.array([[13.5, 5.0]])).all()
+    between = after_leaving((10.0, 5.0), (16.0, 5.0))
+    assert between.moves((13.0, 5.0)).tolist() == [[13.0, 5.0]]

@@ -9,8 +9,7 @@ import pytest
 
 from agent.learn.env import SourceSearch
 from agent.planning.around import around, distances_to
-from agent.planning.moves import Reach
-from agent.planning.predict import lengths
+from agent.planning.moves import Reach, lengths
 from agent.trials.rollout import mission
 from plume.polygons.obstacles import HAIR_M, Obstacles
 from plume.problem import AREA, Problem

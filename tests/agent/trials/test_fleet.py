@@ -4,7 +4,7 @@ import json
 import math
 import subprocess
 import sys
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import pytest
@@ -101,6 +101,21 @@ def test_the_belief_takes_the_readings_by_round_then_vehicle() -> None:
         assert (posterior.particles == step.posterior.particles).all()
         assert step.belief.step == number
         assert len(step.posterior.readings) == 2 * (number + 1)
+
+
+def test_the_others_keep_clear_of_where_one_has_left() -> None:
+    """By 3 m and a step of 1 m, or they go away from there: a way's least distance is then its begin's."""
+    flown = mission(2, "homing", 200, 0.5, 15, fleet=Fleet(3, "corners"), leaving={2: 5}, assume="field")
+    steps = list(flown.steps)
+    places = [{each.vehicle: each.position for each in step.readings} for step in steps]
+    assert all(not step.belief.left_at for step in steps[:5])
+    gone = places[0][2], places[4][2]
+    assert {step.belief.left_at for step in steps[5:]} == {gone}
+    for before, after in pairwise(places[5:]):
+        for vehicle, there in product(before, gone):
+            way = np.array([before[vehicle], after[vehicle]])
+            least_m = float(gaps(way, np.array([there, there])))
+            assert least_m >= min(4.0, math.dist(before[vehicle], there)) - 1e-6
 
 
 def test_each_vehicle_has_its_own_noise_and_the_first_that_of_one_alone() -> None:
