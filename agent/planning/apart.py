@@ -61,20 +61,22 @@ class Shared(Reach):
         """Whether the ways from a position to places (A, 2) m are free and keep the separation: (A,)."""
         free = super().are_free(position, places)
         if len(self.hovering):
-            free = free & self._are_clear_of_those_that_left(np.asarray(position), places)
+            free = free & self._are_clear_of_those_that_left(position, places)
         if not len(others := self._near(np.asarray(position), places)):
             return free
         apart = gaps(ways_from(position, places)[:, None], others) >= self.separation_m
         return np.asarray(apart.all(axis=1) & free)
 
-    def _are_clear_of_those_that_left(self, position: Array, places: Array) -> NDArray[np.bool_]:
+    def _are_clear_of_those_that_left(
+        self, position: tuple[float, float], places: Array
+    ) -> NDArray[np.bool_]:
         """Whether ways from a position to places (A, 2) m keep clear of those that have left: (A,).
 
         A way that begins too near to one has to lead away from it.
         """
         there = np.repeat(self.hovering[:, None], 2, axis=1)
         clear = gaps(ways_from(position, places)[:, None], there) >= self.clear_m
-        now, then = (lengths(self.hovering - place) for place in (position, places[:, None]))
+        now, then = lengths(self.hovering - position), lengths(self.hovering - places[:, None])
         away = then >= now + AWAY * lengths(places - position)[:, None]
         return np.asarray((clear | (now < self.clear_m) & away).all(axis=1))
 
