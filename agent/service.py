@@ -156,9 +156,7 @@ def check(belief: Belief, area: Area) -> None:
     if not len(names) == len(belief.means) == len(belief.stds):
         raise ValueError(f"{len(belief.means)} means and {len(belief.stds)} stds of {len(names)} unknowns")
     _check_readings(belief)
-    if len(left_at := belief.left_at or ()) > (most := 2 * (MOST_VEHICLES - 1)):
-        raise ValueError(f"{len(left_at)} places of those that have left; wanted {most} at most")
-    for position in (belief.position, *(each.position for each in belief.readings or ()), *left_at):
+    for position in (belief.position, *(each.position for each in belief.readings or ()), *_left(belief)):
         if not area.holds(position):
             raise ValueError(f"position {position} is outside the area {area.text}")
     positive = belief.rate, belief.diffusivity, belief.lifetime
@@ -181,6 +179,13 @@ def check(belief: Belief, area: Area) -> None:
     xx, xy, yy = belief.covariance
     if min(xx, yy) < 0 or abs(xy) > 1.001 * math.sqrt(xx * yy) + 1e-9:
         raise ValueError(f"{belief.covariance} is not a covariance (xx, xy, yy)")
+
+
+def _left(belief: Belief) -> list[Place]:
+    """Return where those have read that have left. Raises ValueError if they are too many."""
+    if len(left := belief.left_at or ()) >= MOST_VEHICLES:
+        raise ValueError(f"{len(left)} vehicles have left; wanted fewer than {MOST_VEHICLES}")
+    return [place for each in left for place in (each.first, each.last)]
 
 
 def _check_readings(belief: Belief) -> None:

@@ -31,7 +31,7 @@ def choose_all(
     some may have left.
     """
     numbers = range(1, len(places) + 1) if numbers is None else numbers
-    left_at = belief.left_at or ()
+    left_at = [place for each in belief.left_at or () for place in (each.first, each.last)]
     if len(places) == 1 and not left_at:
         return [choose(name, belief, particles, seed_of(seed, numbers[0]), within)]
 

@@ -2,7 +2,8 @@
 Chromium: `python -m benchmarks.page`.
 
 A mission's scenes change many times a second, each with new particles; the server sends them as it does
-live. The age is the time from publication until the frame with the scene was drawn, by one clock. A record
+live. With several vehicles each has as many scenes a second, and the page shows them all. The age is the time
+from publication until the frame with the scene was drawn, by one clock. A record
 is opened as from a shell: from the start of `plumeward view LOG` until its last scene is drawn.
 """
 
@@ -31,13 +32,14 @@ TIMES = 5
 
 
 def measure(
-    particles: int, rate_hz: float, duration_s: float, scheme: str, size: tuple[int, int]
+    particles: int, rate_hz: float, duration_s: float, scheme: str, size: tuple[int, int], vehicles: int = 1
 ) -> dict[str, float]:
     """Return the figures of one window."""
     stage = Stage()
     stage.open()
     try:
-        actor = stage.enter(scene(particles=particles))
+        names = [f"search/1/uav/{number}" for number in range(1, vehicles + 1)]
+        actors = [stage.enter(scene(name, particles=particles), "search/1") for name in names]
         with launched() as browser:
             page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
             page.goto(stage.address)
@@ -49,10 +51,15 @@ def measure(
                     page.evaluate("plumeward.latencies_ms.length = 0")
                     before = page.evaluate("plumeward.drawn")
                 count = 6 + int(passed_s / READINGS_S)
-                now = replace(actor.newest, time_s=passed_s, scatter=clouds[sent % len(clouds)])
-                if count > len(now.measurements):
-                    now = replace(now, measurements=(*now.measurements, measured(count - 1, 3.0)))
-                actor.show(now)
+                for number, actor in enumerate(actors):
+                    assert actor.newest.craft
+                    craft = replace(actor.newest.craft, position=(3.0 * number, 12.0 + passed_s % 10.0))
+                    now = replace(
+                        actor.newest, time_s=passed_s, craft=craft, scatter=clouds[sent % len(clouds)]
+                    )
+                    if count > len(now.measurements):
+                        now = replace(now, measurements=(*now.measurements, measured(count - 1, 3.0)))
+                    actor.show(now)
                 sent += 1
                 page.wait_for_timeout(max(1000 * (began + sent / rate_hz - time.perf_counter()), 0))
             page.wait_for_timeout(200)
@@ -117,6 +124,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--particles", type=int, default=4000)
     parser.add_argument("--rate", type=float, default=20.0, help="updates a second")
+    parser.add_argument("--vehicles", type=int, default=1, help="of one search")
     parser.add_argument("--duration", type=float, default=15.0, help="s")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
@@ -126,7 +134,7 @@ def main() -> None:
         ("large, dark", "dark", (1920, 1080)),
         ("phone", "light", (360, 640)),
     ):
-        found[name] = figures = measure(args.particles, args.rate, args.duration, scheme, size)
+        found[name] = figures = measure(args.particles, args.rate, args.duration, scheme, size, args.vehicles)
         ages = (
             f"median {figures['median_ms']:5.1f} ms, 95% {figures['p95_ms']:5.1f} ms, most "
             f"{figures['most_ms']:6.1f} ms"

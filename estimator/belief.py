@@ -13,7 +13,7 @@ from estimator.kernels.densities import log_priors
 from estimator.kernels.weights import effective_sample_size, moments, weighted_mean
 from estimator.priors import Fixed
 from link.bus.mavlink import Reading
-from link.bus.messages import Belief, Contribution, Particles, Stop
+from link.bus.messages import Belief, Contribution, LeftAt, Particles, Stop
 from plume.elementary import Array, Indices, direction
 from plume.parameters import PARAMETERS
 from plume.problems.fleet import Place
@@ -129,15 +129,15 @@ def fit(posterior: Posterior, config: Config) -> float:
 
 
 def left_at(
-    read_at: Mapping[int, Sequence[Place]], numbers: Collection[int]
-) -> tuple[Place, ...] | msgspec.UnsetType:
-    """Return where those have read, first and last, that take no part in a round any more.
+    read_at: Mapping[int, tuple[Place, Place]], numbers: Collection[int]
+) -> tuple[LeftAt, ...] | msgspec.UnsetType:
+    """Return where those have read that take no part in a round any more; UNSET: there are none.
 
-    UNSET: there are none.  read_at: the first and the last place, (x, y) m, of each vehicle that has ever
-    read.  numbers: those of the round.
+    read_at: the first and the last place, (x, y) m, of each vehicle that has ever read.  numbers: those of
+    the round.
     """
-    gone = [each for number, each in sorted(read_at.items()) if number not in numbers]
-    return tuple(place for each in gone for place in each) or msgspec.UNSET
+    gone = [LeftAt(number, *places) for number, places in sorted(read_at.items()) if number not in numbers]
+    return tuple(gone) or msgspec.UNSET
 
 
 def stuck(posterior: Posterior, config: Config) -> Sequence[int]:

@@ -42,7 +42,7 @@ def run(
     posterior = prior(config)
     watch = SensorWatch(config, len(systems) if len(systems) > 1 else 0)
     summary, particles = None, b""
-    read_at: dict[int, Sequence[Place]] = {}  # where each vehicle has read, first and last
+    read_at: dict[int, tuple[Place, Place]] = {}  # where each vehicle has read, first and last
     stopped, forgotten = False, frozenset[int]()
     while True:
         arrival, refused = roll.receive(), None
@@ -114,7 +114,7 @@ def _of_all(
     taken: Sequence[Reading],
     systems: Sequence[int | None],
     doubted: Sequence[int],
-    read_at: Mapping[int, Sequence[Place]],
+    read_at: Mapping[int, tuple[Place, Place]],
 ) -> Belief:
     """Return a round's belief with the readings that it answers, whose sensor seems to lie, and who has left.
 

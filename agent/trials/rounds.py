@@ -52,7 +52,7 @@ class Rounds:
         self._posterior = prior(config)
         self._time = RoundTime(world, starts)
         self._before: list[Before | None] = [None] * len(starts)
-        self._read_at: dict[int, Sequence[Place]] = {}  # where each vehicle has read, first and last
+        self._read_at: dict[int, tuple[Place, Place]] = {}  # where each vehicle has read, first and last
         self._leaving, self._forgotten = leaving, forgotten
         self.numbers: Sequence[int] = range(1, len(starts) + 1)  # of the vehicles of the last round
 

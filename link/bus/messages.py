@@ -40,6 +40,14 @@ class RoundReading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gas: Annotated[float, Meta(description="the gas reading, in the sensor's unit")]
 
 
+class LeftAt(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where a vehicle has read that has left a search by several. The others keep clear of both places."""
+
+    vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle in the search, from 1")]
+    first: Annotated[Pair, Meta(description="where it read first, (x, y) m: it may land there")]
+    last: Annotated[Pair, Meta(description="where it read last, (x, y) m: it may hover near it")]
+
+
 class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The posterior after one reading, and the model parameters that a planner needs.
 
@@ -159,11 +167,10 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = msgspec.UNSET
     left_at: Annotated[
-        tuple[Pair, ...] | msgspec.UnsetType,
+        tuple[LeftAt, ...] | msgspec.UnsetType,
         Meta(
-            description="of a search by several vehicles: where each that has left has read first, and last, "
-            "(x, y) m; it may hover near the one or land at the other, and the others keep clear of both; "
-            "absent if there are none"
+            description="of a search by several vehicles: where those that have left have read; absent if "
+            "there are none"
         ),
     ] = msgspec.UNSET
 

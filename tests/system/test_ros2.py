@@ -199,7 +199,8 @@ def test_two_vehicles_have_names_of_their_own_and_one_tells_the_time(
 
     wait_until(lambda: both() or any([uav.beat() for uav in uavs]))
     wait_until(lambda: len(clocks()) == 1 or any([uav.beat() for uav in uavs]))
-    assert {len(node.of(STATE, name)) > 0 for name in ("uav_1", "uav_2")} == {True}
+    names = "uav_1", "uav_2"
+    wait_until(lambda: all(node.of(STATE, name) for name in names) or any([uav.beat() for uav in uavs]))
     (owner,) = {token.split("/")[7] for token in clocks()}
     assert owner in ("%uav_1", "%uav_2")
 

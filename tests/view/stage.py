@@ -142,8 +142,9 @@ GIVES_WAY = "Search gives way: HOLD by 255/190 on the bus"
 class Actor:
     """A vehicle whose scene is what the test sets."""
 
-    def __init__(self, stage: "Stage", shown: Scene) -> None:
+    def __init__(self, stage: "Stage", shown: Scene, search: str) -> None:
         self.name = shown.backdrop.vehicle
+        self.search = search or self.name
         self.version = 0
         self.here = True
         self.published_ms = 1000 * time.time()
@@ -153,7 +154,7 @@ class Actor:
         backdrop = self._scene.backdrop
         return {
             "name": self.name,
-            "search": self.name,
+            "search": self.search,
             "title": backdrop.title,
             "here": self.here,
             "has_truth": backdrop.release is not None,
@@ -231,9 +232,9 @@ class Stage(Served):
         self.list_version = 0
         self.notice = ""
 
-    def enter(self, shown: Scene) -> Actor:
-        """Let a vehicle appear."""
-        actor = Actor(self, shown)
+    def enter(self, shown: Scene, search: str = "") -> Actor:
+        """Let a vehicle appear, in a search by several if it is named."""
+        actor = Actor(self, shown, search)
         self.vehicles = {**self.vehicles, actor.name: actor}
         self.relist()
         return actor

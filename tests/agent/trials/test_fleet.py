@@ -13,6 +13,7 @@ from agent.trials.rollout import mission, rollout
 from agent.trials.sweep import Sweep, fly
 from estimator.filter import assimilate, prior
 from link import cli
+from link.bus.messages import LeftAt
 from plume.outcome import TracePoint, outcome_text
 from plume.polygons.polygons import gaps
 from plume.problem import PAPER
@@ -110,7 +111,7 @@ def test_the_others_keep_clear_of_where_one_has_left() -> None:
     places = [{each.vehicle: each.position for each in step.readings} for step in steps]
     assert all(not step.belief.left_at for step in steps[:5])
     gone = places[0][2], places[4][2]
-    assert {step.belief.left_at for step in steps[5:]} == {gone}
+    assert {step.belief.left_at for step in steps[5:]} == {(LeftAt(2, *gone),)}
     for before, after in pairwise(places[5:]):
         for vehicle, there in product(before, gone):
             way = np.array([before[vehicle], after[vehicle]])
