@@ -25,7 +25,7 @@ from agent.trials.figures import wilson
 from agent.trials.rollout import mission
 from estimator.belief import stuck
 from estimator.filter import assimilate, prior
-from estimator.watch import Assimilated, SensorWatch
+from estimator.watch import SensorWatch
 from link import cli
 from link.terminal import tell
 from plume.outcome import verdict
@@ -95,12 +95,11 @@ def _searched(seed: int, lie: str, liar: int, leaving: Mapping[int, int]) -> tup
                 doubted = [*stuck(step.posterior, flown.config), *watch.doubted]
                 if doubted and not step.belief.ceased:
                     named, at = doubted[0], number
-                taken = []
                 for reading in step.readings:
                     after = assimilate(before, reading, flown.config)
-                    taken.append(Assimilated(before, after, reading))
+                    watch.take(before, after, reading)
                     before = after
-                watch.look(taken)
+                watch.look()
     finally:
         replaced.RoundTime = RoundTime
     said = step.belief

@@ -4,6 +4,7 @@ When a vehicle leaves is the one thing in a search that a clock decides. It is t
 a departure: what follows from readings and departures is the same wherever and whenever it is computed.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from time import monotonic as now_s
@@ -98,12 +99,19 @@ class Roll:
             for arrival in bus.kept(DEPARTURE):
                 self._hear(arrival)
 
-    def receive(self) -> Arrival | None:
-        """Return the next reading that may count; None if somebody has left meanwhile."""
+    def receive(self, most_s: float = math.inf) -> Arrival | None:
+        """Return the next reading that may count.
+
+        None if somebody has left meanwhile, or if none has come for `most_s` of real time.
+        """
+        until_s = now_s() + most_s
         while True:
             if self._several and self._look():
                 return None
-            match self._bus.receive(LOOK_S if self._several else None):
+            left_s = min(LOOK_S, until_s - now_s())
+            if left_s <= 0:
+                return None
+            match self._bus.receive(left_s if self._several else None):
                 case Arrival(key) as arrival if key is READING:
                     if not self._rounds.is_over(arrival.vehicle):
                         return arrival

@@ -1,5 +1,6 @@
 """The estimator service: takes readings, publishes one belief for each, and one stop."""
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 
@@ -10,7 +11,7 @@ from estimator.belief import belief, contributions, left_at, stop, stuck, warnin
 from estimator.filter import Config, assimilate, forget, prior
 from estimator.gathering import Gathering
 from estimator.roll import OVERDUE_S, Roll
-from estimator.watch import Assimilated, SensorWatch
+from estimator.watch import SensorWatch
 from link.bus.keys import BELIEF, READING, STOP
 from link.bus.mavlink import BadFrame, Reading, split, unpack_reading
 from link.bus.messages import Belief, RoundReading, pack_particles
@@ -18,6 +19,7 @@ from link.bus.session import Bus
 from link.bus.tally import REPEATED
 from plume.problems.fleet import Place
 
+QUIET_S = 0.1  # real time after a belief in which the agent may need the processor
 UNFIT = "its readings do not fit those of the others"  # why one is left out by rule
 
 
@@ -45,8 +47,9 @@ def run(
     read_at: dict[int, tuple[Place, Place]] = {}  # where each vehicle has read, first and last
     stopped, forgotten = False, frozenset[int]()
     while True:
-        arrival, refused = roll.receive(), None
+        arrival, refused = roll.receive(QUIET_S if watch.waiting else math.inf), None
         if arrival is None:
+            watch.look()
             bus.tally.about = _about(config, roll)
         else:
             own = arrival.vehicle - 1
@@ -65,15 +68,16 @@ def run(
                 roll.took(arrival.vehicle, arrival.payload)
                 known[own] = known[own] or split(arrival.payload)[0].system
         while taken := rounds.whole():
+            watch.look()
             began = time.perf_counter()
             if (gone := roll.forgotten(rounds.number - 1)) != forgotten:
                 forgotten = gone
                 posterior = forget(posterior, forgotten, config)
                 watch.forget(forgotten)
-            steps = []
             for each in taken:
                 before, posterior = posterior, assimilate(posterior, each, config)
-                steps.append(Assimilated(before, posterior, each))
+                if len(systems) > 1 and not stopped:
+                    watch.take(before, posterior, each)
             summary, array = belief(posterior, taken[-1], config)
             if len(systems) > 1:
                 doubted = sorted({*stuck(posterior, config), *watch.doubted})
@@ -100,8 +104,6 @@ def run(
                 for vehicle in summary.doubted[: len(rounds.left()) - 1]:
                     roll.leave_out(vehicle, UNFIT)
                 bus.tally.about = _about(config, roll)
-            if len(systems) > 1 and not stopped:
-                watch.look(steps)  # after the answer, which vehicles wait for: the next one says what it saw
         # A repeated reading means that no answer arrived. Publishing the same belief again recovers from any
         # lost message. One that waits for those of other vehicles has no answer yet.
         if arrival and refused and summary is not None and not rounds.waits(arrival.vehicle):

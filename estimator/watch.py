@@ -14,7 +14,6 @@ readings are those before they are assimilated, estimated by particles: it holds
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -86,14 +85,6 @@ class _Suspect:
         return lies - max(together - self.others, self.sound)
 
 
-class Assimilated(NamedTuple):
-    """A reading, and the search's own posteriors before and after it."""
-
-    before: Posterior
-    after: Posterior
-    reading: Reading
-
-
 class SensorWatch:
     """Watches the sensors of several vehicles that search together."""
 
@@ -105,6 +96,7 @@ class SensorWatch:
         self._models = [self._of_gain(gain) for gain in GAINS] if known else []
         self._hums = type(config.sensor) is Gaussian
         self._taken: list[tuple[int, Array]] = []  # (vehicle, reading as the kernels take it)
+        self.waiting: list[tuple[Posterior, Posterior, Reading]] = []  # taken, but not looked at yet
         self._begin(range(1, vehicles + 1))
 
     def _of_gain(self, gain: float) -> Model:
@@ -126,16 +118,23 @@ class SensorWatch:
             hum = Hum(SCALE * floor * floor) if self._hums else None
             self._suspects[vehicle] = _Suspect(without, np.zeros(len(self._models)), hum)
 
-    def look(self, taken: Sequence[Assimilated]) -> None:
-        """Take the readings of a round, and say in `doubted` whose sensor seems to lie.
+    def take(self, before: Posterior, after: Posterior, reading: Reading) -> None:
+        """Take a reading of a round, with the search's own posteriors before and after it."""
+        self.waiting.append((before, after, reading))
+
+    def look(self) -> None:
+        """Say in `doubted` whose sensor seems to lie, after the readings that have been taken.
 
         This takes longer than to assimilate them: each vehicle has a belief without it.
         """
+        if not self.waiting:
+            return
         fresh = []
-        for before, after, reading in taken:
+        for before, after, reading in self.waiting:
             row = row_of(before, reading, self._config)
             self._all += _log_evidence(before, after, row, self._config)
             fresh.append((reading.vehicle, row))
+        self.waiting.clear()
         for vehicle, suspect in self._suspects.items():
             for other, row in fresh:
                 if other != vehicle:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from estimator.filter import Config, Posterior, assimilate, forget, prior
-from estimator.watch import SCALE, SHAPE, WORTH, Assimilated, Hum, SensorWatch
+from estimator.watch import SCALE, SHAPE, WORTH, Hum, SensorWatch
 from link.bus.mavlink import Reading
 from plume.scenario import draw
 from plume.sensors.names import parse
@@ -54,11 +54,10 @@ def named(taken: list[list[Reading]], told: Config, vehicles: int = 3) -> list[t
 
 def look(watch: SensorWatch, posterior: Posterior, here: list[Reading], told: Config) -> Posterior:
     """Assimilate the readings of a round, and let the watch look; returns the posterior after them."""
-    steps = []
     for reading in here:
         before, posterior = posterior, assimilate(posterior, reading, told)
-        steps.append(Assimilated(before, posterior, reading))
-    watch.look(steps)
+        watch.take(before, posterior, reading)
+    watch.look()
     return posterior
 
 
