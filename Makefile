@@ -127,8 +127,9 @@ results: setup
 	$(BIN)/python -m agent evaluate --assume paper --policy $(POLICIES) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/thresholds.csv.gz --resume $(FLAGS)
 	$(BIN)/python -m agent evaluate --assume paper --policy $(LEARNED) --particles 100,500,1000,2000,4000 --missions results/learned-particles.csv.gz --resume $(FLAGS)
 	$(BIN)/python -m agent evaluate --assume paper --policy $(LEARNED) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/learned-thresholds.csv.gz --resume $(FLAGS)
+	$(BIN)/python -m agent evaluate --assume paper --policy results/learners/paper-ppo.zip,results/learners/paper-dqn.zip,results/learners/paper-ddpg.zip --missions results/paper-learners.csv.gz --resume $(FLAGS)
 	mkdir -p results/leaderboard
-	$(BIN)/python -m agent evaluate --policy $(BOARD),ppo,dqn,ddpg --world as-modelled,puffs:share=0.2 --scenarios 20 --missions results/leaderboard/paper.csv.gz --resume $(FLAGS)
+	$(BIN)/python -m agent evaluate --policy $(BOARD),ppo,dqn,ddpg --world as-modelled,puffs:share=0.2 --scenarios 100 --missions results/leaderboard/paper.csv.gz --resume $(FLAGS)
 	$(BIN)/python -m agent evaluate --policy $(BOARD) --problem missions/wide-field.yaml --scenarios 20 --missions results/leaderboard/wide-field.csv.gz --resume $(FLAGS)
 
 # Tables and pictures of docs/results.md, and the figures of the README, from the rows in results/.
