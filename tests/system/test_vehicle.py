@@ -24,9 +24,9 @@ from tests.system.live import run_sitl
 from tests.system.wires import SerialWire
 
 FAST, STEADY = 10.0, 2.0
-"""Speed-ups. PX4 wants setpoints all the time: its companion must not be late by a second of simulation
-time on a busy machine.
-"""
+"""Speed-ups."""
+PATIENT = (("COM_OF_LOSS_T", 10.0),)
+"""PX4 wants setpoints all the time: so late may its companion be on a busy machine, s of simulation time."""
 DRAG = (("EK3_DRAG_MCOEF", 0.1),)
 """With a model of its drag an ArduCopter estimates the wind."""
 SEED = 7
@@ -49,7 +49,7 @@ def ardupilot() -> Iterator[Double]:
 @pytest.fixture
 def px4() -> Iterator[Double]:
     """A PX4 over UDP that says nothing about the wind."""
-    with Double("px4", "udpin:127.0.0.1:0", Settings(ready_s=12.0), STEADY) as double:
+    with Double("px4", "udpin:127.0.0.1:0", Settings(ready_s=12.0, parameters=PATIENT), STEADY) as double:
         yield double
 
 
