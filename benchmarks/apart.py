@@ -9,7 +9,6 @@ each leg, holds for a while, or leaves the search: it returns, lands where it is
 """
 
 import argparse
-import csv
 import itertools
 import math
 from collections.abc import Sequence
@@ -20,6 +19,7 @@ import msgspec
 from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.rollout import mission
 from aircraft.search.together import Berth
+from benchmarks.rows import append, read
 from link import cli
 from link.modes import Mode
 from link.terminal import tell
@@ -190,32 +190,15 @@ def main() -> None:
         "--missions", type=cli.whole(1, 100_000), default=500, metavar="N", help="of all faults"
     )
     args: argparse.Namespace = parser.parse_args()
-    rows = _read()
+    rows = read(ROWS, Searched)
     if args.fly:
         known = {row.seed for row in rows}
-        ROWS.parent.mkdir(parents=True, exist_ok=True)
         for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.missions):
             if seed not in known:
                 rows.append(fly(seed))
-                _add(rows[-1])
+                append(rows[-1:], ROWS)
         tell(f"{args.missions} missions")
     print(table(rows))
-
-
-def _read() -> list[Searched]:
-    if not ROWS.exists():
-        return []
-    with ROWS.open(newline="") as file:
-        return [msgspec.convert(row, Searched, strict=False) for row in csv.DictReader(file)]
-
-
-def _add(row: Searched) -> None:
-    new = not ROWS.exists()
-    with ROWS.open("a", newline="") as file:
-        writer = csv.DictWriter(file, Searched.__struct_fields__, lineterminator="\n")
-        if new:
-            writer.writeheader()
-        writer.writerow(msgspec.structs.asdict(row))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ search is flown once more, and the vehicle is left out from the next round on, i
 """
 
 import argparse
-import csv
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from copy import copy
@@ -23,6 +22,7 @@ from agent.trials import rounds
 from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.figures import wilson
 from agent.trials.rollout import mission
+from benchmarks.rows import append, read
 from estimator.belief import stuck
 from estimator.filter import assimilate, prior
 from estimator.watch import SensorWatch
@@ -149,34 +149,17 @@ def main() -> None:
     )
     parser.add_argument("--lies", type=cli.listed(str), metavar="LIE,LIE", help="only those that begin so")
     args: argparse.Namespace = parser.parse_args()
-    rows = _read()
+    rows = read(ROWS, Searched)
     if args.fly:
         known = {(row.lie, row.seed) for row in rows}
-        ROWS.parent.mkdir(parents=True, exist_ok=True)
         wanted = [lie for lie in LIES if not args.lies or lie.startswith(tuple(args.lies))]
         for lie in wanted:
             for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.missions):
                 if (lie, seed) not in known:
                     rows.append(fly(seed, lie))
-                    _add(rows[-1])
+                    append(rows[-1:], ROWS)
             tell(f"{lie}: {args.missions} missions")
     print(table(rows))
-
-
-def _read() -> list[Searched]:
-    if not ROWS.exists():
-        return []
-    with ROWS.open(newline="") as file:
-        return [msgspec.convert(row, Searched, strict=False) for row in csv.DictReader(file)]
-
-
-def _add(row: Searched) -> None:
-    new = not ROWS.exists()
-    with ROWS.open("a", newline="") as file:
-        writer = csv.DictWriter(file, Searched.__struct_fields__, lineterminator="\n")
-        if new:
-            writer.writeheader()
-        writer.writerow(msgspec.structs.asdict(row))
 
 
 if __name__ == "__main__":

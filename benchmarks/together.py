@@ -9,9 +9,8 @@ the others were not there; the first to stop ends the search of all, and all hav
 """
 
 import argparse
-import csv
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +22,7 @@ from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.figures import bootstrap, wilson
 from agent.trials.rollout import rollout
 from agent.trials.workers import as_flown
+from benchmarks.rows import append, read
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link import cli
@@ -119,26 +119,6 @@ def cells_of(policies: Sequence[str], most: int) -> list[Cell]:
     ]
 
 
-def read(path: Path) -> list[Flown]:
-    """Read the rows that there are."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return [msgspec.convert(row, Flown, strict=False) for row in csv.DictReader(file)]
-
-
-def append(rows: Iterable[Flown], path: Path) -> None:
-    """Add rows as they are flown, so that an interrupt loses none."""
-    new = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.writer(file)
-        if new:
-            writer.writerow(Flown.__struct_fields__)
-        for row in rows:
-            writer.writerow(msgspec.structs.astuple(row))
-            file.flush()
-
-
 def table(rows: Sequence[Flown]) -> str:
     """Return the table of docs/fleet.md, in Markdown."""
     of_cell: dict[Cell, dict[int, Flown]] = defaultdict(dict)
@@ -195,7 +175,7 @@ def main() -> None:
     parser.add_argument("--rows", type=Path, default=ROWS)
     args: Any = parser.parse_args()
     if args.fly:
-        done = {(row.cell, row.seed) for row in read(args.rows)}
+        done = {(row.cell, row.seed) for row in read(args.rows, Flown)}
         cells = cells_of(args.policy, args.vehicles)
         tasks = [
             (seed, [cell for cell in cells if (cell, seed) not in done])
@@ -203,7 +183,7 @@ def main() -> None:
         ]
         for _, rows in as_flown(_fly_task, tasks, args.workers):
             append(rows, args.rows)
-    tell(table(read(args.rows)))
+    tell(table(read(args.rows, Flown)))
 
 
 def _fly_task(task: tuple[int, Sequence[Cell]]) -> list[Flown]:
