@@ -19,7 +19,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryFile
 from threading import RLock
@@ -31,6 +31,8 @@ import numpy as np
 from numba import njit
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.dispatcher import _FunctionCompiler
 from numba.core.runtime.nrt import rtsys
 from numba.core.typeinfer import register_dispatcher
 
@@ -56,9 +58,49 @@ class KernelCache(FunctionCache):
         return self._load_overload(signature, target)  # type: ignore[no-untyped-call]
 
 
+class InnerLibrary(JITCodeLibrary):
+    """The code of a function that only compiled ones call: it becomes machine code as a part of theirs."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+        self._finalized = True
+
+
+class InnerCompiler(_FunctionCompiler):
+    """Numba's compiler of functions that only compiled ones call: without what lets Python call them."""
+
+    def _customize_flags(self, flags: Any) -> Any:
+        flags.no_cpython_wrapper = flags.no_cfunc_wrapper = flags.no_compile = True
+        return flags
+
+    def _compile_core(self, args: Any, return_type: Any) -> Any:
+        compiled = super()._compile_core(args, return_type)  # type: ignore[no-untyped-call]
+        compiled.library.__class__ = InnerLibrary
+        # Stands for it in the callers' code, and is what Python calls.
+        compiled = compiled._replace(entry_point=partial(njit(error_model="numpy")(self.py_func)))
+        self.targetdescr.target_context.insert_user_function(
+            compiled.entry_point, compiled.fndesc, [compiled.library]
+        )
+        return compiled
+
+
 def subroutine(function: F, **options: Any) -> F:
-    """Let numba compile a function for the kernels that call it; `options` are njit's."""
-    return cast(F, njit(error_model="numpy", **options)(function))
+    """Let numba compile a function for the kernels that call it; `options` are njit's.
+
+    If Python calls it, which tests do, it is compiled once more, with what this needs.
+    """
+    dispatcher: Any = njit(error_model="numpy", **options)(function)
+    usual = dispatcher._compiler
+    dispatcher._compiler = InnerCompiler(
+        usual.py_func, usual.targetdescr, usual.targetoptions, usual.locals, usual.pipeline_class
+    )
+    dispatcher.add_overload = lambda compiled: dispatcher.overloads.__setitem__(
+        tuple(compiled.signature.args), compiled
+    )
+    return cast(F, dispatcher)
 
 
 def kernel(signature: Any, **options: Any) -> Callable[[F], F]:
