@@ -71,12 +71,12 @@ mission: $(FLIGHT)
 quick: lint
 	$(BIN)/pytest -n 2 -m 'not full and not slow' $(UNIT) $(FLAGS)
 
-# Four processes on a small machine's two cores: missions spend about half of their time waiting. tests/workers.py says which runs what.
+# More processes than a small machine's two cores: missions spend about half of their time waiting. tests/workers.py says which runs what.
 test: $(READY) chromium
-	$(BIN)/pytest -n 4 -m 'not full' $(FLAGS)
+	$(BIN)/pytest -n 5 -m 'not full' $(FLAGS)
 
 test-all: setup
-	$(BIN)/pytest -n 4 -m full $(FLAGS)
+	$(BIN)/pytest -n 6 -m full $(FLAGS)
 
 # Takes hours; `make fuzz FLAGS='belief --runs 1000'` fuzzes one decoder for less. It needs Linux on x86-64.
 fuzz: setup

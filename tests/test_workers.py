@@ -2,13 +2,19 @@
 
 import pytest
 
-from tests.workers import LONG, LONGEST, ROOT, rank, unit
+from tests.workers import LONG, LONGEST, ONE_BY_ONE, ROOT, rank, unit
 
 
 @pytest.mark.parametrize(
-    "file", ["tests/system/test_install.py", "tests/system/test_fly.py", "tests/plume/test_flight.py"]
+    "file",
+    [
+        "tests/system/test_install.py",
+        "tests/system/test_fly.py",
+        "tests/plume/test_flight.py",
+        *ONE_BY_ONE,
+    ],
 )
-def test_what_shares_a_fixture_and_what_is_short_stays_together(file: str) -> None:
+def test_what_shares_a_fixture_what_is_short_and_what_must_not_meet_stays_together(file: str) -> None:
     assert unit(f"{file}::test_a") == unit(f"{file}::test_b[1]") == file
 
 
@@ -30,4 +36,4 @@ def test_the_longest_begin_first() -> None:
 
 
 def test_all_that_is_named_is_there() -> None:
-    assert [path for path in LONGEST + LONG if not (ROOT / path).exists()] == []
+    assert [path for path in LONGEST + LONG + ONE_BY_ONE if not (ROOT / path).exists()] == []

@@ -30,6 +30,10 @@ def rank(node: str) -> int:
     )
 
 
+ONE_BY_ONE = ("tests/system/test_ray.py",)
+"""Their tests meet what another of them has up: `--ray auto` joins any cluster on the machine."""
+
+
 @cache
 def shares(file: str) -> bool:
     """Whether the tests of a file share what was made once for all of them: an environment, a mission, a browser."""
@@ -37,9 +41,12 @@ def shares(file: str) -> bool:
 
 
 def unit(node: str) -> str:
-    """What one process runs without a break: a long test, or a file of short ones or of those that share."""
+    """What one process runs without a break: a long test, or a file of short ones, of those that share, or
+    of those that must not meet.
+    """
     file = node.partition("::")[0]
-    return node if file.startswith(LONGEST + LONG) and not shares(file) else file
+    alone = file.startswith(LONGEST + LONG) and not file.startswith(ONE_BY_ONE) and not shares(file)
+    return node if alone else file
 
 
 class Units(LoadScopeScheduling):

@@ -161,7 +161,7 @@ def test_ctrl_c_ends_all_vehicles_and_leaves_nothing_behind(
 
 def test_a_vehicle_that_dies_before_the_search_is_left_behind(start: type[Part], tmp_path: Path) -> None:
     part = start(
-        "sitl", "fly", "--vehicles", "2", "--policy", "random", "--speedup", "4", "--particles", "100", "--no-record",
+        "sitl", "fly", "--vehicles", "2", "--policy", "random", "--budget", "8", "--particles", "100", "--no-record",
         "--assume", "paper", cwd=tmp_path,
     )  # fmt: skip
     vehicles: dict[str, int] = {}

@@ -32,6 +32,8 @@ ROWS = [
 
 FAMILIAR = ("Haswell", "without V3 and V4", "native")
 """What `make test` tries: of the processors that need no other compiled kernels the one that differs most."""
+ANSWERS = ("golden", "flight/homing", "flight/ppo", "recovery", "batch", "prior")
+"""What it computes there: what the services say and decide. `make test-all` computes the worlds, too."""
 
 
 def disabled(numpy: str) -> str:
@@ -110,8 +112,9 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], list[str]]:
 
 @pytest.mark.parametrize(
     ("blas", "numpy", "numba"),
-    [pytest.param(*row, marks=() if row == FAMILIAR else pytest.mark.full) for row in ROWS],
+    ROWS,
 )
+@pytest.mark.full
 @pytest.mark.timeout(900)  # the kernels are compiled once for each processor
 def test_every_bit_is_the_same_on_another_processor(
     here: Callable[[], list[str]], blas: str, numpy: str, numba: str
@@ -120,6 +123,13 @@ def test_every_bit_is_the_same_on_another_processor(
     assert len(there) > 100
     assert [line for line in there if "DIFFERS" in line] == []
     assert there == here()
+
+
+def test_services_answer_with_the_same_bits_on_another_processor() -> None:
+    there = said(environment(*FAMILIAR), "tests.system.bits", *ANSWERS)
+    assert len(there) > 40
+    assert [line for line in there if "DIFFERS" in line] == []
+    assert there == said(dict(os.environ), "tests.system.bits", *ANSWERS)
 
 
 @pytest.mark.full
