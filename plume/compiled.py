@@ -32,7 +32,7 @@ from numba import njit
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
-from numba.core.dispatcher import _FunctionCompiler
+from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
 from numba.core.runtime.nrt import rtsys
 from numba.core.typeinfer import register_dispatcher
 
@@ -69,7 +69,7 @@ class InnerLibrary(JITCodeLibrary):
         self._finalized = True
 
 
-class InnerCompiler(_FunctionCompiler):
+class InnerCompiler(_FunctionCompiler):  # type: ignore[misc]
     """Numba's compiler of functions that only compiled ones call: without what lets Python call them."""
 
     def _customize_flags(self, flags: Any) -> Any:
@@ -77,7 +77,7 @@ class InnerCompiler(_FunctionCompiler):
         return flags
 
     def _compile_core(self, args: Any, return_type: Any) -> Any:
-        compiled = super()._compile_core(args, return_type)  # type: ignore[no-untyped-call]
+        compiled = super()._compile_core(args, return_type)
         compiled.library.__class__ = InnerLibrary
         # Stands for it in the callers' code, and is what Python calls.
         compiled = compiled._replace(entry_point=partial(njit(error_model="numpy")(self.py_func)))

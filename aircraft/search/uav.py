@@ -235,7 +235,7 @@ class Uav:
             self._answer(unpack_waypoint(arrival.payload, self._clients.system))
         elif arrival.key is DEPARTURE:
             if left := bus.decode(arrival, Departure):
-                self._leaves(bus, left, arrival)
+                self._leaves(bus, left)
         elif arrival.key is STOP:
             if stop := bus.take_stop(arrival):
                 self._search.declare(stop)
@@ -244,15 +244,14 @@ class Uav:
         else:
             self._clients.take(arrival)
 
-    def _leaves(self, bus: Bus, left: Departure, arrival: Arrival) -> None:
-        """Take that a vehicle has left the search, and say it again, for an estimator that starts again."""
+    def _leaves(self, bus: Bus, left: Departure) -> None:
+        """Take that a vehicle has left the search. Raises BadFrame."""
         if left.vehicle in self._left:
             return
         if left.vehicle > self._sensor.among:
             raise BadFrame(f"vehicle {left.vehicle} of {self._sensor.among} has left", "other vehicle")
         self._left.add(left.vehicle)
         self._sensor.leaves(left.vehicle, left.step)
-        bus.publish(DEPARTURE, arrival.payload, arrival.attachment or None)
         if left.vehicle == bus.vehicle:
             self._search.leave(left.reason)
 

@@ -41,6 +41,7 @@ from sitl.launch.progress import Progress, pace
 
 ANSWER_TIMEOUT_S = 10.0  # longest wait for an answer, s of real time, or three times the longest recorded one
 RETURN_TIMEOUT_S = 60.0  # longest wait for a service that is gone: somebody may be starting it again
+NOBODY = 0  # no vehicle has this number
 SETTLE_S = 0.3  # wait for unexpected answers at the end, s of real time, or twice the longest answer time
 
 
@@ -63,13 +64,15 @@ def replay(
         progress = stack.enter_context(Progress(max(len(readings) - 1, 0), started))
         endpoint = connect or _start(stack.enter_context(Processes(inbox)), source, secure, record)
         together = numbers(source.vehicles)
-        join = partial(Bus, "uav", endpoint, source.namespace, secure=secure)
-        bus = stack.enter_context(join(inbox=inbox, vehicles=together))
-        # With certificates each vehicle speaks for itself alone.
+        joined = partial(Bus, connect=endpoint, namespace=source.namespace, secure=secure)
+        bus = stack.enter_context(joined("uav", inbox=inbox, vehicles=together))
+        # With certificates each vehicle speaks for itself alone, and none says who has left.
         others = {
-            number: stack.enter_context(join(announced=False, vehicles=[number]))
+            number: stack.enter_context(joined("uav", announced=False, vehicles=[number]))
             for number in (together[1:] if secure else ())
         }
+        if secure and source.turns.departures:
+            others[NOBODY] = stack.enter_context(joined("agent", announced=False, vehicles=together))
         bus.subscribe(BELIEF, STOP, WAYPOINT, HEALTH)
         bus.watch_services()
         progress.say(f"replay: {source.path} as {source.namespace}, {pace(speedup)}, router at {endpoint}")
@@ -107,7 +110,8 @@ class Player:
     ) -> None:
         """Take the bus, joined as the uav.
 
-        others: that on which a vehicle of a search speaks, by its number, if not on the first.
+        others: that on which a vehicle of a search speaks, by its number, if not on the first; that of
+        NOBODY says who has left.
         own: the services were started for this replay.
         """
         self._bus, self._others = bus, others
@@ -153,10 +157,8 @@ class Player:
 
     def play(self, speedup: float) -> None:
         """Publish all messages at their pace, up to the first difference."""
-        for (
-            left
-        ) in self._source.turns.departures:  # first, so that no reading comes before it that is too late
-            self._bus.publish(DEPARTURE, left.payload)
+        for left in self._source.turns.departures:  # first: no reading may come before it that is too late
+            self._speaker(NOBODY).publish(DEPARTURE, left.payload)
         began, first_ns = time.monotonic(), self._source.entries[0].published_ns
         for entry in self._source.entries:
             if speedup:

@@ -177,10 +177,10 @@ DEPARTURE = Key(
     Delivery(blocking=True, express=True, kept=8),
     "once per vehicle that leaves",
     "In a search by several only: a vehicle has left it. The attachment is the frames of its readings that "
-    "count, in their order, if they have at most 1,000,000 bytes. Each vehicle that hears it says it again "
-    "on the same key, so that an estimator that starts again learns of it.",
-    writers=(ESTIMATOR, VEHICLE),
-    readers=(ESTIMATOR, VEHICLE),
+    "count, in their order, if they have at most 1,000,000 bytes. The agent says it again on the same key, "
+    "so that an estimator that starts again learns of it.",
+    writers=(ESTIMATOR, AGENT),
+    readers=(ESTIMATOR, AGENT, VEHICLE),
 )
 LEAVE_OUT = Key(
     "leave-out",

@@ -9,9 +9,9 @@ import pytest
 from agent import service
 from agent.policies import reach
 from agent.together import choose_all
-from link.bus.keys import BELIEF, HEALTH
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH
 from link.bus.mavlink import unpack
-from link.bus.messages import Belief, Health, RoundReading, unpack_particles
+from link.bus.messages import Belief, Departure, Health, RoundReading, unpack_particles
 from link.bus.session import Arrival
 from tests.fuzz.services import BETWEEN, QuietBus, answered, belief_seeds, until_all_are_taken
 
@@ -120,6 +120,18 @@ def test_a_round_that_no_estimator_can_mean_is_refused(changed: dict[str, object
     bus = answered("homing", said(**of_two(**changed)), said(**of_two()))
     assert reason in bus.tally.last_error
     assert len(bus.published) == 1
+
+
+def test_who_has_left_is_said_again_once_with_the_readings_for_an_estimator_that_starts_again() -> None:
+    gone, frames = msgspec.json.encode(Departure(2, 1, "lost")), b"its readings"
+    other = msgspec.json.encode(Departure(1, 4, "its battery"))
+    nobody = msgspec.json.encode(Departure(9, 4, "one of nine"))
+    heard = [
+        Arrival(DEPARTURE, *each) for each in ((gone, frames), (gone, frames), (nobody, b""), (other, b""))
+    ]
+    bus = QuietBus(*heard)
+    until_all_are_taken(lambda: service.run(bus, "homing", 3, 300, None, reach("homing")))
+    assert bus.published == [(DEPARTURE, gone, frames), (DEPARTURE, other, b"")]
 
 
 def test_who_is_left_is_planned_for_with_the_draws_of_its_own_number() -> None:

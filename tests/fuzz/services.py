@@ -448,16 +448,17 @@ def departure_seeds() -> list[bytes]:
 
 
 def departure(data: bytes) -> None:
-    """Whatever is said of who leaves, one of three lives on, and says each departure again once at most;
-    the estimator of three serves on.
+    """Whatever is said of who leaves, one of three lives on, the agent says it again once at most, and the
+    estimator of three serves on.
     """
     payload, _, frames = as_sent(data).partition(BETWEEN)
     said = Arrival(DEPARTURE, payload, frames)
     flight = _Flight(searching=True, fleet=THREE)
-    flight.bus.published.clear()
     flight.goes_on(said, said)
-    assert sum(key is DEPARTURE for key, *_ in flight.bus.published) <= 1
     _lives_on(flight)
+    agent_bus = QuietBus(said, said)
+    until_all_are_taken(lambda: agent.run(agent_bus, "random", 3, 300, None, reach("random")))
+    assert len(agent_bus.published) <= 1
     bus = QuietBus(
         said,
         *(Arrival(READING, pack, b"", name=READING.named(vehicle=n)) for n, pack in enumerate(_round(), 1)),

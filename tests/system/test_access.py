@@ -15,7 +15,9 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from agent.trials.rollout import mission
 from link.access.authority import make
+from plume.problems.fleet import Fleet
 from tests.system.live import run_agent
 
 ROOT = Path(__file__).parents[2]
@@ -63,21 +65,30 @@ def test_a_secured_mission_is_the_same_also_when_the_router_restarts(
     assert secured["trace"] == json.loads(out[-1])["trace"]
 
 
-def test_a_secured_search_by_two_is_the_same_and_its_record_verifies(
-    tmp_path: Path,
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+LOSING = """
+{seed: 4, speedup: 0, fleet: {vehicles: 2, formation: corners}, agent: {budget: 6},
+events: [{step: 2, do: return, vehicle: 2}]}
+"""
+
+
+def test_a_secured_search_by_two_that_one_leaves_is_the_same_and_its_record_verifies(
+    tmp_path: Path, folder: Path
 ) -> None:
-    chosen = ["--vehicles", "2", "--from", "corners", "--seed", "4", "--budget", "4", "--json", "--trace"]
+    (tmp_path / "losing.yaml").write_text(LOSING)
     secure = ["--speedup", "0", "--secure", str(folder)]
-    flown = run(tmp_path, "sitl", "fly", *chosen, *secure, "--record", "two.mcap")
+    flown = run(tmp_path, "sitl", "fly", "losing.yaml", *secure, "--record", "two.mcap", "--json", "--trace")
     assert "no right to" not in flown.stderr
-    status, out, err = run_agent(monkeypatch, capsys, "rollout", *chosen)
-    assert status == 0, err
-    assert json.loads(flown.stdout.splitlines()[-1])["trace"] == json.loads(out[-1])["trace"]
+    outcome = json.loads(flown.stdout.splitlines()[-1])
+    (left,) = outcome["left"]
+    assert left["vehicle"] == 2
+    steps = mission(
+        4, "homing", 1000, 0.5, budget=6, fleet=Fleet(2, "corners"), leaving={2: left["step"]}, assume="field"
+    ).steps  # fmt: skip
+    assert [(point["reading"], point["mean"], point["spread"]) for point in outcome["trace"]] == [
+        (taken.gas, [*step.belief.mean], step.belief.spread) for step in steps for taken in step.readings
+    ]
     replayed = run(tmp_path, "sitl", "replay", "two.mcap", "--verify", *secure)
-    assert "verified: 5 beliefs, 0 stops, 4 waypoints" in replayed.stdout
+    assert "verified: 7 beliefs, 0 stops, 6 waypoints" in replayed.stdout
 
 
 @pytest.mark.full

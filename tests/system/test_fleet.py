@@ -421,7 +421,7 @@ def test_a_service_that_is_killed_and_started_again_goes_on_with_the_same_search
 def test_a_vehicle_that_dies_is_left_behind_and_an_estimator_that_starts_again_knows_it(
     start: type[Part], router: str, watched: Watched, wait_until: Callable
 ) -> None:
-    """Its readings have died with it: those of the others that heard of it bring them back."""
+    """Its readings have died with it: the agent, which heard of it, brings them back."""
     parts = commands(router, overdue="2")
     running = {part: start(*words) for part, words in parts.items()}
     stages = [

@@ -51,7 +51,7 @@ RIGHTS = {  # by hand: who publishes, and who receives beside operators and obse
     "reading": ({"vehicle"}, {"estimator", "ros2"}),
     "belief": ({"estimator"}, {"agent", "vehicle", "ros2"}),
     "agdc/stop": ({"estimator"}, {"vehicle", "agent", "payload", "bridge", "ros2"}),
-    "departure": ({"estimator", "vehicle"}, {"estimator", "vehicle"}),
+    "departure": ({"estimator", "agent"}, {"estimator", "agent", "vehicle"}),
     "leave-out": ({"operator"}, {"estimator"}),
     "health/estimator": ({"estimator"}, set(EVERYBODY)),
     "health/uav": ({"vehicle"}, set(EVERYBODY)),
