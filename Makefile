@@ -130,7 +130,7 @@ results: setup
 	$(BIN)/python -m agent evaluate --assume paper --policy results/learners/paper-ppo.zip,results/learners/paper-dqn.zip,results/learners/paper-ddpg.zip --missions results/paper-learners.csv.gz --resume $(FLAGS)
 	mkdir -p results/leaderboard
 	$(BIN)/python -m agent evaluate --policy $(BOARD),ppo,dqn,ddpg --world as-modelled,puffs:share=0.2 --scenarios 100 --missions results/leaderboard/paper.csv.gz --resume $(FLAGS)
-	$(BIN)/python -m agent evaluate --policy $(BOARD) --problem missions/wide-field.yaml --scenarios 20 --missions results/leaderboard/wide-field.csv.gz --resume $(FLAGS)
+	$(BIN)/python -m agent evaluate --policy $(BOARD) --problem missions/wide-field.yaml --scenarios 100 --missions results/leaderboard/wide-field.csv.gz --resume $(FLAGS)
 
 # Tables and pictures of docs/results.md, and the figures of the README, from the rows in results/.
 report: setup
