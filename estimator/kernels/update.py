@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from estimator.kernels.checks import predictive_rank
 from estimator.kernels.densities import (
-    MODEL,
-    ROW,
     STACK,
     TABLE,
     Model,
@@ -39,7 +37,6 @@ class WeightedSample(NamedTuple):
     log_targets: Array  # (N,) log posterior density given all readings so far, up to a constant
 
 
-SAMPLE = tuple_type((TABLE, ROW, ROW, ROW), WeightedSample)
 SAMPLES = tuple_type((STACK, TABLE, TABLE, TABLE), WeightedSample)
 MODELS = tuple_type((numba.int64[::1], STACK, TABLE, TABLE, STACK, TABLE), Model)
 
@@ -73,8 +70,8 @@ def resample(sample: WeightedSample, offset: float) -> None:
         log_weights[i], weights[i], log_targets[i] = 0.0, 1.0, old_targets[ancestors[i]]
 
 
-@kernel(numba.float64(SAMPLE, TABLE, MODEL, numba.uint64, numba.int64), nogil=True)
-def update(sample: WeightedSample, readings: Array, model: Model, seed: int, sweeps: int) -> float:
+@subroutine
+def _assimilate(sample: WeightedSample, readings: Array, model: Model, seed: int, sweeps: int) -> float:
     """Assimilate the last of the readings (T, 7) in place, setting its share; returns its predictive rank.
 
     Reweight; if the weights degenerate, resample and move (Gordon 1993; Chopin 2002). A reading that would
@@ -120,9 +117,9 @@ def update_missions(
     sweeps: int,
     missions: Indices,
 ) -> None:
-    """Apply `update` to each of these missions of a batch, with its first `counts` readings.
+    """Assimilate the last of the first `counts` readings of each of these missions of a batch.
 
-    Arrays are as in `update`, stacked, but for the unknowns, which all share.
+    Arrays are as in `_assimilate`, stacked, but for the unknowns, which all share.
     """
     particles, log_weights, weights, log_targets = samples
     unknowns, priors, sensors, spikes, walls, densities = models
@@ -130,4 +127,17 @@ def update_missions(
         sample = WeightedSample(particles[b], log_weights[b], weights[b], log_targets[b])
         model = Model(unknowns, priors[b], sensors[b], spikes[b], walls[b], densities[b])
         count = counts[b]
-        ranks[b, count - 1] = update(sample, readings[b, :count], model, seeds[b], sweeps)
+        ranks[b, count - 1] = _assimilate(sample, readings[b, :count], model, seeds[b], sweeps)
+
+
+def update(sample: WeightedSample, readings: Array, model: Model, seed: int, sweeps: int) -> float:
+    """Assimilate the last of the readings (T, 7) of one mission, as `_assimilate`: a batch of one."""
+    unknowns, *others = model
+    stacked = WeightedSample(*(array[None] for array in sample))
+    models = Model(unknowns, *(array[None] for array in others))
+    count = len(readings)
+    ranks, seeds = np.empty((1, count)), np.array([seed], np.uint64)
+    update_missions(
+        stacked, readings[None], ranks, np.array([count]), models, seeds, sweeps, np.zeros(1, np.int64)
+    )
+    return float(ranks[0, -1])
