@@ -13,7 +13,7 @@ Numba makes machine code of every function that a kernel calls, and a wrapper fo
 copy of its own, so nobody runs them: without them kernels are compiled in two thirds of the time.
 
 Numba loads all that it compiles with, SciPy's BLAS included, before it looks into its cache. A kernel that is
-kept does not wait for it here: the estimator, which has nineteen, is loaded in two thirds of the time.
+kept does not wait for it here: the estimator, which has eighteen, is loaded in two thirds of the time.
 """
 
 import hashlib
