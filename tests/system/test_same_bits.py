@@ -110,11 +110,8 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], list[str]]:
     return digests
 
 
-@pytest.mark.parametrize(
-    ("blas", "numpy", "numba"),
-    ROWS,
-)
 @pytest.mark.full
+@pytest.mark.parametrize(("blas", "numpy", "numba"), ROWS)
 @pytest.mark.timeout(900)  # the kernels are compiled once for each processor
 def test_every_bit_is_the_same_on_another_processor(
     here: Callable[[], list[str]], blas: str, numpy: str, numba: str
