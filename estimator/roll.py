@@ -193,7 +193,10 @@ class Roll:
         self._bus.publish(DEPARTURE, said, frames if len(frames) <= MOST_FRAMES else None)
 
     def _hear(self, arrival: Arrival) -> bool:
-        """Take a departure from the bus; returns whether it is news. One that cannot be is refused."""
+        """Take a departure from the bus; returns whether it is news. One that cannot be is refused.
+
+        News is said again: whoever told it may be gone when the agent starts again.
+        """
         said = self._bus.decode(arrival, Departure)
         if said is None or any(said.vehicle == known.vehicle for known in self.left):
             return False
@@ -211,6 +214,7 @@ class Roll:
             ):
                 self._rounds.take(reading)
                 self.took(said.vehicle, frames)
+        self._bus.publish(DEPARTURE, arrival.payload, arrival.attachment or None)
         return True
 
     def _unpacked(self, said: Departure, frames: bytes) -> list[tuple[Reading, bytes]]:

@@ -108,7 +108,7 @@ these:
    that follows is a function of readings and departures, in whatever order these come.
 8. Who has left stays out: its readings from `step` on are refused as `left`, and the waypoints have none for it. A vehicle that hears of its own
    departure does what `--after-stop` says, unless a pilot leads it. The departure brings the vehicle's readings, which may have died with it.
-   The agent says a departure again that it hears, once, so that it outlives the estimator. An estimator that starts asks for those that
+   Agent and estimator say a departure again that they hear, once, so that it outlives either. An estimator that starts asks for those that
    are kept before it takes a reading, and lets nobody leave in its first 5 s.
 9. An operator **leaves out** a vehicle by an order on `leave-out`. The estimator answers with its departure, from the next round on, with
    `forgotten` set: the readings that the vehicle took before no longer count either. From that `step` on the belief is the one that the others'

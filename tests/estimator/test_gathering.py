@@ -146,9 +146,21 @@ def test_rounds_are_of_those_that_are_left() -> None:
     ids=["first", "on the way", "last", "with the readings of one that is dead"],
 )
 def test_when_it_is_heard_that_a_vehicle_has_left_changes_nothing(order: Callable) -> None:
-    undisturbed = estimated(3, *WITHOUT_3[:8], departure(3, 2), *WITHOUT_3[8:]).published
-    published = estimated(3, *order(departure(3, 2))).published
-    assert [next(group) for _, group in itertools.groupby(published)] == undisturbed
+    undisturbed = estimated(3, *WITHOUT_3[:8], departure(3, 2), *WITHOUT_3[8:])
+    bus = estimated(3, *order(departure(3, 2)))
+    assert [next(group) for _, group in itertools.groupby(answers(bus))] == answers(undisturbed)
+
+
+def answers(bus: QuietBus) -> list[tuple]:
+    return [each for each in bus.published if each[0] is not DEPARTURE]
+
+
+def test_a_departure_that_is_heard_is_said_again_once_as_it_was() -> None:
+    told = departure(3, 2, *OF_THREE[2:6:3])
+    bus = estimated(3, told, *OF_THREE, told)
+    assert [each for each in bus.published if each[0] is DEPARTURE] == [
+        (DEPARTURE, told.payload, told.attachment)
+    ]
 
 
 def test_a_reading_of_who_has_left_is_refused_and_the_first_one_told() -> None:
@@ -169,7 +181,7 @@ def test_the_last_one_that_is_left_searches_on_under_its_number() -> None:
 
 
 def test_a_search_that_all_have_left_waits() -> None:
-    assert estimated(2, departure(1, 0), departure(2, 0), *IN_ORDER).published == []
+    assert answers(estimated(2, departure(1, 0), departure(2, 0), *IN_ORDER)) == []
 
 
 # ---- who holds up a round ----
@@ -224,7 +236,8 @@ def test_who_has_left_and_whose_readings_never_come_does_not_leave_again(
     left = Arrival(DEPARTURE, msgspec.json.encode(Departure(2, 9, "it returned")), b"", name="departure")
     bus = QuietBus(arrival(1, 0), left, *[arrival(1, number) for number in range(1, 8)])
     until_all_are_taken(lambda: service.run(bus, CONFIG, [None, None], 20.0))
-    assert bus.published == []  # the round still waits, and nobody is said to have left once more
+    # The round still waits, and nobody is said to have left once more, but for what was heard.
+    assert bus.published == [(DEPARTURE, left.payload, b"")]
 
 
 # ---- vehicles that are left out ----
