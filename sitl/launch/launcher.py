@@ -434,7 +434,7 @@ class MissionWatch:
         ):  # a real vehicle's is heard from the beginning: it says where home is
             self._bus.subscribe(MAVLINK_OUT)  # where it has landed
         flying = [vehicle for vehicle in heard.vehicles if not vehicle.ended]
-        if not all(vehicle.landed for vehicle in flying):
+        if flying:  # as fast as possible they may have landed meanwhile: it is said all the same
             self._progress.say("returning home" if after == "return" else "landing")
         codec, call_at, lost_at = Codec(*LAUNCHER_IDS), 0.0, math.inf
         while flying := [
