@@ -14,7 +14,7 @@ from estimator.kernels.weights import effective_sample_size, moments, weighted_m
 from estimator.priors import Fixed
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Contribution, LeftAt, Particles, Stop
-from plume.elementary import Array, Indices, direction
+from plume.elementary import Array, direction
 from plume.parameters import CV, PARAMETERS
 from plume.problems.fleet import Place
 from plume.scenario import INCOMPATIBLE, SURE_OUTSIDE
@@ -22,11 +22,9 @@ from plume.scenario import INCOMPATIBLE, SURE_OUTSIDE
 RECENT = 30  # recent readings in the test of whether they fit the model
 FEWEST = 8  # with fewer readings the test has no power: the p-value is 1
 CLEAR = 5.0  # least `evidence` for a stop, nats
-# Recent readings in which `stretch` looks for neighbours that are alike: a search has few more in the gas.
-RUN = 20
-# So few ranks tell the correlation of neighbours to 0.2 at best. It counts as at least this share of the
-# coefficient of variation, up to the second number: in gas that comes and goes a stop waits longer.
-LEAST_ALIKE, ENOUGH = 0.5, 0.4
+# In gas that comes and goes neighbouring readings are alike: their correlation counts as this share of the
+# coefficient of variation, up to the second number. docs/trust.md has the searches that chose them.
+ALIKE, MOST_ALIKE = 0.5, 0.4
 # This many bit-identical readings in a row mean that a noisy sensor is stuck. No stop comes before so many.
 STUCK = 3
 REPEATS = 10  # readings at two places in turn: of 240 searches in gas as modelled, none had so many
@@ -226,40 +224,27 @@ def warning(said: Belief, config: Config) -> tuple[str, str] | None:
 def locates(posterior: Posterior, spread: float, means: Array, config: Config) -> bool:
     """True if the stop criterion's claim of the location is met, also when neighbouring readings are alike.
 
-    spread and means (D,) are those of the posterior. `stretch` says how alike readings are.
+    spread and means (D,) are those of the posterior, which errors may exceed by `stretch`.
     """
     every = config.prior_rows[:, 1].copy()  # known values; the unknowns' means follow
     every[config.unknown_indices] = means
-    wider = stretch(posterior.ranks, float(every[CV]), config, posterior.by_vehicle)
+    wider = stretch(float(every[CV]))
     if config.within is None:
-        return spread < config.threshold_m and spread * wider < config.threshold_m
+        return spread * wider < config.threshold_m
     radius_m, wanted = config.within
-    return (
-        share_within(radius_m, posterior, means, config) >= wanted
-        and share_within(radius_m / wider, posterior, means, config) >= wanted
-    )
+    return share_within(radius_m / wider, posterior, means, config) >= wanted
 
 
-def stretch(
-    ranks: Array, cv: float, config: Config, by_vehicle: "Sequence[Indices | slice]" = (slice(None),)
-) -> float:
+def stretch(cv: float) -> float:
     """Return how many times wider than the belief its errors may be, since neighbouring readings are alike.
 
     Gas that comes in gusts can stay above or below its mean for several readings. The filter takes them
     for independent. Then T readings are worth T (1 − ρ) / (1 + ρ), where ρ is the correlation of
-    neighbours (Bayley and Hammersley 1946), and the errors grow by the root of its inverse. ρ is that of
-    the last `RUN` ranks about ½, but at least `LEAST_ALIKE` cv, or `ENOUGH`. The result is 1 for gas that
-    is taken to be steady.
-
-    cv: the coefficient of variation of the gas, by the belief.
-    by_vehicle: the numbers of each vehicle's readings; by default they are all of one.
+    neighbours (Bayley and Hammersley 1946), and the errors grow by the root of its inverse. Too few readings
+    of a search are in the gas to measure ρ: it follows from the coefficient of variation that the belief
+    expects. The result is 1 for gas that is steady.
     """
-    recent = [ranks[own][-RUN:] - 0.5 for own in by_vehicle]
-    power = sum(float(np.sum(own * own)) for own in recent)
-    if not config.intermittent or sum(map(len, recent)) < FEWEST or not power:
-        return 1.0
-    products = sum(float(np.sum(own[1:] * own[:-1])) for own in recent)
-    correlation = max(products / power, min(LEAST_ALIKE * cv, ENOUGH))
+    correlation = min(ALIKE * cv, MOST_ALIKE)
     return math.sqrt((1 + correlation) / (1 - correlation))
 
 

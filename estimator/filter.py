@@ -3,7 +3,6 @@
 Each reading is assimilated by reweighting, and where needed resampling and moving.
 """
 
-import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,7 +17,7 @@ from estimator.priors import Prior, draw, table
 from link.bus.mavlink import Reading
 from plume.elementary import Array, Indices
 from plume.flight import leg_s
-from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS, PUFF_RATE
+from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.polygons.parts import numbered_sides
 from plume.problem import AREA, Area, Fenced, PriorParts
 from plume.randomness import keyed
@@ -165,12 +164,6 @@ class Config:
     def spikes(self) -> float:
         """Share of the readings that say nothing of the source."""
         return SPIKES[self.assume]
-
-    @property
-    def intermittent(self) -> bool:
-        """True if the gas is not taken to be steady: as the kernels' `is_intermittent`, not compiled."""
-        even = self.prior_rows[CV, :2].tolist() == [KNOWN, 0.0]
-        return not (even and self.prior_rows[PUFF_RATE, :2].tolist() == [KNOWN, math.inf])
 
     @property
     def sweeps(self) -> int:

@@ -11,6 +11,7 @@ from estimator.assumptions import ASSUMPTIONS, effective_priors
 from estimator.filter import Config
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from link import cli
+from plume.kernels import is_intermittent
 from plume.parameters import (
     CV,
     NOISE,
@@ -68,13 +69,13 @@ def test_noise_and_intermittency_are_unknown_for_the_sensors_that_have_them(
 
 
 def test_gas_is_steady_only_if_it_has_no_cv_of_its_own_and_infinitely_many_puffs() -> None:
-    assert not Config().intermittent
-    assert not Config(assume="field", sensor=Hits()).intermittent
+    assert not is_intermittent(Config().prior_rows)
+    assert not is_intermittent(Config(assume="field", sensor=Hits()).prior_rows)
     for priors in ({"cv": Fixed(0.5)}, {"cv": Normal(0.0, 1.0)}, {"puff-rate": Fixed(1e6)}):
-        assert Config(priors=priors).intermittent
-        assert Config(priors={"puff-rate": Fixed(math.inf), **priors}).intermittent
+        assert is_intermittent(Config(priors=priors).prior_rows)
+        assert is_intermittent(Config(priors={"puff-rate": Fixed(math.inf), **priors}).prior_rows)
     known = {"cv": Fixed(0.0), "puff-rate": Fixed(math.inf)}
-    assert not Config(assume="field", priors=known).intermittent
+    assert not is_intermittent(Config(assume="field", priors=known).prior_rows)
 
 
 def test_what_is_known_has_the_value_of_a_faultless_measurement() -> None:
