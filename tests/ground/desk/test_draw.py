@@ -19,7 +19,7 @@ from scene.scene import Measurement
 from sitl.__main__ import main
 
 RECORD = Path(__file__).parents[2] / "golden" / "homing-gaussian-field.mcap"
-"""30 readings."""
+"""32 readings."""
 
 
 def drawn(*words: str) -> int:
