@@ -17,14 +17,11 @@ from link.bus.messages import Belief, Contribution, LeftAt, Particles, Stop
 from plume.elementary import Array, direction
 from plume.parameters import CV, PARAMETERS
 from plume.problems.fleet import Place
-from plume.scenario import INCOMPATIBLE, SURE_OUTSIDE
+from plume.scenario import INCOMPATIBLE, SURE_OUTSIDE, stretch
 
 RECENT = 30  # recent readings in the test of whether they fit the model
 FEWEST = 8  # with fewer readings the test has no power: the p-value is 1
 CLEAR = 5.0  # least `evidence` for a stop, nats
-# In gas that comes and goes neighbouring readings are alike: their correlation counts as this share of the
-# coefficient of variation, up to the second number. docs/trust.md has the searches that chose them.
-ALIKE, MOST_ALIKE = 0.5, 0.4
 # This many bit-identical readings in a row mean that a noisy sensor is stuck. No stop comes before so many.
 STUCK = 3
 REPEATS = 10  # readings at two places in turn: of 240 searches in gas as modelled, none had so many
@@ -233,19 +230,6 @@ def locates(posterior: Posterior, spread: float, means: Array, config: Config) -
         return spread * wider < config.threshold_m
     radius_m, wanted = config.within
     return share_within(radius_m / wider, posterior, means, config) >= wanted
-
-
-def stretch(cv: float) -> float:
-    """Return how many times wider than the belief its errors may be, since neighbouring readings are alike.
-
-    Gas that comes in gusts can stay above or below its mean for several readings. The filter takes them
-    for independent. Then T readings are worth T (1 − ρ) / (1 + ρ), where ρ is the correlation of
-    neighbours (Bayley and Hammersley 1946), and the errors grow by the root of its inverse. Too few readings
-    of a search are in the gas to measure ρ: it follows from the coefficient of variation that the belief
-    expects. The result is 1 for gas that is steady.
-    """
-    correlation = min(ALIKE * cv, MOST_ALIKE)
-    return math.sqrt((1 + correlation) / (1 - correlation))
 
 
 def share_within(radius_m: float, posterior: Posterior, means: Array, config: Config) -> float:

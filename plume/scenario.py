@@ -21,6 +21,9 @@ BUDGET_STEPS = 300  # most moves of a mission; the paper states no budget
 SUCCESS_RADIUS_M = 1.0
 # A stop claims that the source is outside the area if at least this share of the belief is.
 SURE_OUTSIDE = 0.95
+# In gas that comes and goes neighbouring readings are alike: their correlation counts as this share of the
+# coefficient of variation, up to the second number. docs/trust.md has the searches that chose them.
+ALIKE, MOST_ALIKE = 0.5, 0.4
 INCOMPATIBLE = 1e-4  # below this p-value the readings do not fit the model: there is no stop
 AS_MODELLED = "as-modelled"  # the world that matches what the estimator assumes
 # τ, s. Table 1 states none; the paper's illustration has 10 s.
@@ -69,6 +72,19 @@ class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
     def nearest(self, place: tuple[float, float]) -> tuple[float, float]:
         """Return the source that is nearest to a place, (x, y) m: a find may be of either."""
         return nearest(place, self.source, self.second)
+
+
+def stretch(cv: float) -> float:
+    """Return how many times wider than a belief its errors may be, since neighbouring readings are alike.
+
+    Gas that comes in gusts can stay above or below its mean for several readings. The filter takes them
+    for independent. Then T readings are worth T (1 − ρ) / (1 + ρ), where ρ is the correlation of
+    neighbours (Bayley and Hammersley 1946), and the errors grow by the root of its inverse. Too few readings
+    of a search are in the gas to measure ρ: it follows from the coefficient of variation that the belief
+    expects, `cv`. The result is 1 for gas that is steady.
+    """
+    correlation = min(ALIKE * cv, MOST_ALIKE)
+    return math.sqrt((1 + correlation) / (1 - correlation))
 
 
 def nearest(

@@ -163,6 +163,7 @@ class Measurement:
     effective_sample_size: float = math.nan
     outside: float = 0.0  # share of the belief outside the area
     measured_wind: Point | None = None  # with the reading: points to where it comes from, m/s
+    stretch: float = 1.0  # a stop allows for errors that are so many times wider than the belief
 
 
 @dataclass(frozen=True, slots=True)

@@ -159,7 +159,7 @@ def near_text(last: Measurement) -> str:
 
 
 def _stops(scene: Scene) -> str:
-    target_m = target_radius_m(scene.stop)
+    target_m = target_radius_m(scene.stop, scene.measurements[-1].stretch)
     return "" if target_m is None else f"; stops at about {target_m:.2g} m"
 
 
@@ -197,10 +197,10 @@ def _rate(last: Measurement) -> str:
 # ---- how long still ----
 
 
-def target_radius_m(stop: str) -> float | None:
+def target_radius_m(stop: str, wider: float = 1.0) -> float | None:
     """Return within how many metres 95% of a round belief lies once it meets a stop criterion.
 
-    None if that is not known.
+    wider: so many times wider than the belief its errors may be.  None if that is not known.
     """
     kind, _, rest = stop.partition(":")
     try:
@@ -209,9 +209,9 @@ def target_radius_m(stop: str) -> float | None:
         return None
     match kind, numbers:
         case "spread", [threshold_m] if threshold_m > 0:
-            return RADIUS_95 * threshold_m
+            return RADIUS_95 * threshold_m / wider
         case "within", [radius_m, share] if radius_m > 0 and 0 < share < 1:
-            return radius_m * math.sqrt(math.log(0.05) / math.log1p(-share))
+            return radius_m / wider * math.sqrt(math.log(0.05) / math.log1p(-share))
     return None
 
 
@@ -227,8 +227,10 @@ def moves_left(measurements: Sequence[Measurement], stop: str) -> int | None:
     On average a belief shrinks by the same factor with each move. How it shrank lately says less: it hardly
     does until the gas is found, and then fast. None while the readings do not fit: then there is no stop.
     """
-    target_m = target_radius_m(stop)
-    if target_m is None or not measurements or measurements[-1].p_value < INCOMPATIBLE:
+    if not measurements or measurements[-1].p_value < INCOMPATIBLE:
+        return None
+    target_m = target_radius_m(stop, measurements[-1].stretch)
+    if target_m is None:
         return None
     spread_m = measurements[-1].spread_m
     if not math.isfinite(spread_m) or spread_m <= 0:

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from link.bus.messages import Belief, Particles
+from plume.scenario import stretch
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import Sensor, parse
 from plume.sensors.sensor import Hits, Threshold
@@ -45,6 +46,7 @@ def measured(said: Belief, cloud: Particles | None, time_s: float, wind: Point |
         effective_sample_size=said.effective_sample_size,
         outside=said.outside,
         measured_wind=wind,
+        stretch=stretch(dict(zip(said.unknowns, said.means, strict=False)).get("cv", 0.0)),
     )
 
 

@@ -8,6 +8,7 @@ from statistics import median
 import pytest
 
 from link.record.reader import read
+from plume.scenario import stretch
 from scene.follow.history import history_of
 from scene.scene import Backdrop, Condition, Craft, Ending, Happening, Measurement, Release, Scene, Service
 from scene.state import moves_left, state_of, target_radius_m
@@ -61,6 +62,15 @@ def test_a_search_says_how_sure_it_is_when_it_stops_and_about_how_long_still() -
         "Searching: the source is within 2.6 m of the cross (95%); stops at about 0.87 m; about 9 moves more"
     )
     assert (state.kind, state.level, state.moves_left, state.seconds_left) == ("searching", "good", 9, 18.0)
+
+
+def test_in_gas_that_comes_and_goes_it_stops_at_less() -> None:
+    # For a cv of 0.6 the errors may be √(1.3 / 0.7) = 1.363 times wider: 0.8654 m / 1.363 = 0.635 m.
+    # From 1.6 m to 0.5 m / 1.363: 7.7 ln 4.361 = 11.3 moves.
+    last = replace(SCENE.measurements[-1], stretch=stretch(0.6))
+    state = state_of(replace(SCENE, measurements=(*SCENE.measurements[:-1], last)))
+    assert state.text.endswith("; stops at about 0.64 m; about 10 moves more")
+    assert state.moves_left == 11
 
 
 def test_what_is_not_known_is_left_out() -> None:
@@ -163,6 +173,7 @@ def test_a_stop_by_share_is_compared_with_the_same_radius() -> None:
     # 99% of a round Gaussian within 1 m: 95% within √(ln 0.05 / ln 0.01).
     assert target_radius_m("within:1,0.99") == pytest.approx(math.sqrt(math.log(0.05) / math.log(0.01)))
     assert target_radius_m("spread:0.5") == pytest.approx(0.8654, abs=1e-4)
+    assert target_radius_m("spread:0.5", 2.0) == pytest.approx(0.4327, abs=1e-4)
     for unknown in ("", "spread", "spread:x", "within:1", "within:1,1", "spread:-1"):
         assert target_radius_m(unknown) is None
 

@@ -5,7 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from scene.follow.believed import gauge_of, quantiles, radius
+from estimator.belief import belief
+from estimator.filter import Config, assimilate, prior
+from estimator.priors import Uniform
+from link.bus.mavlink import Reading
+from scene.follow.believed import gauge_of, measured, quantiles, radius
 from scene.scene import Scatter
 
 
@@ -13,6 +17,14 @@ def test_quantiles_are_of_the_weights() -> None:
     values, weights = np.array([3.0, 1.0, 2.0], np.float32), np.array([0.1, 0.6, 0.3], np.float32)
     assert quantiles(values, weights, (0.05, 0.5, 0.8, 0.95, 1.0)) == [1.0, 1.0, 2.0, 3.0, 3.0]
     assert math.isnan(quantiles(values[:0], weights[:0], (0.5,))[0])
+
+
+def test_a_stop_allows_for_half_of_the_cv_that_the_belief_expects() -> None:
+    for config in (Config(particles=50, priors={"cv": Uniform(0.2, 0.4)}), Config(particles=50)):
+        reading = Reading(0, (8.0, 9.0), 5.0, (1.5, -0.5), 1.3)
+        said, cloud = belief(assimilate(prior(config), reading, config), reading, config)
+        alike = sum(said.means[2:]) / 2  # of cv, the third unknown, if it is one
+        assert measured(said, cloud, 0.0).stretch == pytest.approx(math.sqrt((1 + alike) / (1 - alike)))
 
 
 def test_the_radius_holds_95_of_100_even_particles() -> None:
