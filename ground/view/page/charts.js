@@ -102,7 +102,7 @@ export class Charts {
     const now = ours.times.length - 1;
     for (const [name, { plot, place, title }] of Object.entries(this.plots)) {
       const unit = name === "gas" ? (gauge?.unit ?? "") : CHARTS[name][1], value = tables[name][1].findLast((each) => each !== null && each !== undefined);
-      Object.assign(this.plots[name], { unit, note: name === "spread" && threshold_m ? `no stop above ${threshold_m} m (dashed)` : "" });
+      Object.assign(this.plots[name], { unit, note: name === "spread" && threshold_m ? `limit ${threshold_m} m (dashed)` : "" });
       if (other && (name === "spread" || name === "gas")) this.plots[name].note = [this.plots[name].note, `${other.name} dotted`].filter(Boolean).join(" · ");
       place.setAttribute("aria-label", now < 0 || value === undefined ? `${title}: no reading yet` : `${title}: ${short(value)} ${unit}`.trim());
       plot.batch(() => { plot.setData(tables[name]); plot.setScale("x", { min: x[0], max: x[1] }); });
