@@ -38,7 +38,8 @@ ANSWERS = ("golden", "flight/homing", "flight/ppo", "recovery", "batch", "prior"
 
 def disabled(numpy: str) -> str:
     """The extensions that NumPy is told not to use, by the names that it knows here."""
-    known: list[str] = np.show_config(mode="dicts")["SIMD Extensions"]["found"]  # type: ignore[call-overload, index]
+    extensions = np.show_config(mode="dicts")["SIMD Extensions"]  # type: ignore[call-overload, index]
+    known: list[str] = extensions.get("found", [])  # there is no such entry where it found none
     newest = [name for name in known if "V4" in name or "AVX512" in name]
     return " ".join(
         {
