@@ -83,7 +83,7 @@ def stretch(cv: float) -> float:
     of a search are in the gas to measure ρ: it follows from the coefficient of variation that the belief
     expects, `cv`. The result is 1 for gas that is steady.
     """
-    correlation = min(ALIKE * cv, MOST_ALIKE)
+    correlation = min(ALIKE * max(cv, 0.0), MOST_ALIKE)  # a belief from elsewhere may say anything
     return math.sqrt((1 + correlation) / (1 - correlation))
 
 

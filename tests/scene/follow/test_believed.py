@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -25,6 +26,14 @@ def test_a_stop_allows_for_half_of_the_cv_that_the_belief_expects() -> None:
         said, cloud = belief(assimilate(prior(config), reading, config), reading, config)
         alike = sum(said.means[2:]) / 2  # of cv, the third unknown, if it is one
         assert measured(said, cloud, 0.0).stretch == pytest.approx(math.sqrt((1 + alike) / (1 - alike)))
+
+
+@pytest.mark.parametrize(("cv", "wider"), [(-3.0, 1.0), (0.0, 1.0), (1e308, math.sqrt(1.4 / 0.6))])
+def test_whatever_cv_a_belief_tells_there_is_something_to_show(cv: float, wider: float) -> None:
+    config, reading = Config(particles=50), Reading(0, (8.0, 9.0), 5.0, (1.5, -0.5), 1.3)
+    said, _ = belief(assimilate(prior(config), reading, config), reading, config)
+    absurd = msgspec.structs.replace(said, unknowns=("cv",), means=(cv,))
+    assert measured(absurd, None, 0.0).stretch == pytest.approx(wider)
 
 
 def test_the_radius_holds_95_of_100_even_particles() -> None:
