@@ -43,9 +43,8 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         (3.03, False, (1000, 3))
     """
     unknown_means, unknown_covariance = moments(posterior.particles, posterior.weights)
-    means = config.prior_rows[:, 1].copy()  # known values; the unknowns' means follow
+    means = every_mean(unknown_means, config)
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
-    means[config.unknown_indices] = unknown_means
     covariance[np.ix_(config.unknown_indices, config.unknown_indices)] = unknown_covariance
     mean = dict(zip(PARAMETERS, means.tolist(), strict=True))
     std = dict(zip(PARAMETERS, np.sqrt(covariance.diagonal()).tolist(), strict=True))
@@ -218,14 +217,19 @@ def warning(said: Belief, config: Config) -> tuple[str, str] | None:
     return None
 
 
+def every_mean(means: Array, config: Config) -> Array:
+    """Return the mean of every parameter, (15,): that of an unknown is among `means` (D,)."""
+    every = config.prior_rows[:, 1].copy()  # values of the known
+    every[config.unknown_indices] = means
+    return every
+
+
 def locates(posterior: Posterior, spread: float, means: Array, config: Config) -> bool:
     """True if the stop criterion's claim of the location is met, also when neighbouring readings are alike.
 
     spread and means (D,) are those of the posterior, which errors may exceed by `stretch`.
     """
-    every = config.prior_rows[:, 1].copy()  # known values; the unknowns' means follow
-    every[config.unknown_indices] = means
-    wider = stretch(float(every[CV]))
+    wider = stretch(float(every_mean(means, config)[CV]))
     if config.within is None:
         return spread * wider < config.threshold_m
     radius_m, wanted = config.within
