@@ -55,12 +55,13 @@ def run(args: argparse.Namespace) -> int:
             bridge = Bridge(addresses, bus, f"bus {args.namespace}", signing)
         except ValueError as error:
             raise cli.BadInput(f"{flag}: {error}") from None
+        # Before it says that it is there; no KeyboardInterrupt, which could strike within a frame.
+        on_end(lambda _: bridge.end())
         bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
         for address in addresses:
             bus.log.info(f"{address.text}: {address.other_side}")
             if (risk := address.risk("command the vehicle")) and not args.sign:
                 bus.log.warning(risk)
-        on_end(lambda _: bridge.end())  # no KeyboardInterrupt, which could strike within a frame
         bus.publish_health()
         try:
             bridge.run()

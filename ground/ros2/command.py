@@ -56,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
         Tap("ros2", args.connect, args.namespace, **usual) as bus,
         closing(Ros(bus, wire, args.namespace, domain, args.connect, args.secure, args.commands)) as ros,
     ):
+        on_end(lambda _: ros.end())  # before it says that it is there: whoever reads that may end it
         bus.tally.state = "translating"
         bus.tally.about = f"ROS domain {domain}, {ros.node.namespace}"
         obeys = "it obeys commands" if args.commands else "it takes no commands"
@@ -63,7 +64,6 @@ def run(args: argparse.Namespace) -> int:
             f"{args.namespace} at {args.connect} is {ros.node.namespace} in ROS domain {domain}, as "
             f"{args.distro} has it; {obeys}"
         )
-        on_end(lambda _: ros.end())
         bus.publish_health()
         ros.run()
     return 0
