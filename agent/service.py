@@ -11,9 +11,17 @@ import numpy as np
 from agent import policies
 from agent.planning.moves import Reach
 from agent.together import choose_all
-from link.bus.keys import BELIEF, DEPARTURE, HEALTH, STOP, WAYPOINT
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH, LATECOMER, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, elapsed_ms, waypoint_message
-from link.bus.messages import Belief, Departure, Health, Particles, RoundReading, unpack_particles
+from link.bus.messages import (
+    Belief,
+    Departure,
+    Health,
+    Latecomer,
+    Particles,
+    RoundReading,
+    unpack_particles,
+)
 from link.bus.session import Arrival, Bus
 from plume.elementary import float32
 from plume.parameters import MOST, PARAMETERS
@@ -58,7 +66,7 @@ def run(
 ) -> None:
     """Serve until interrupted: answer each belief, unless the search has ceased or the budget is spent.
 
-    Of several vehicles, say again who has left: an estimator that starts again learns of it.
+    Of several vehicles, say again who has left or come late: an estimator that starts again learns of it.
 
     system: the vehicle's MAVLink system id; None: the one that its health tells, and 1 until then. Those
     of several come with the belief.
@@ -67,7 +75,7 @@ def run(
     """
     policies.policy(policy)  # loads or compiles the policy before the first belief arrives
     bus.subscribe(BELIEF, newest=True)
-    bus.subscribe(STOP, DEPARTURE, *[HEALTH] * (system is None))
+    bus.subscribe(STOP, DEPARTURE, LATECOMER, *[HEALTH] * (system is None))
     system = system or 1
     codec = Codec(system, ONBOARD_COMPUTER)
     bus.tally.about = policy
@@ -75,11 +83,11 @@ def run(
     bus.log.info(f"ready: {policy}")
     answered: Belief | None = None
     waypoints: list[Place] = []
-    left: set[int] = set()
+    said: set[tuple[int, int]] = set()
     while True:
         arrival: Arrival = bus.receive()
-        if arrival.key is DEPARTURE:
-            _say_again(bus, arrival, left)
+        if arrival.key is DEPARTURE or arrival.key is LATECOMER:
+            _say_again(bus, arrival, said)
         if arrival.name == HEALTH.named("uav"):
             health = bus.decode(arrival, Health)
             if health and health.system not in (0, system):
@@ -114,12 +122,16 @@ def run(
         bus.answered()
 
 
-def _say_again(bus: Bus, arrival: Arrival, left: set[int]) -> None:
-    """Say a departure again, once for each vehicle that has left."""
-    said = bus.decode(arrival, Departure)
-    if said and said.vehicle <= MOST_VEHICLES and said.vehicle not in left:
-        left.add(said.vehicle)
-        bus.publish(DEPARTURE, arrival.payload, arrival.attachment or None)
+def _say_again(bus: Bus, arrival: Arrival, known: set[tuple[int, int]]) -> None:
+    """Say again, once each, that a vehicle has left, and how far one that comes late has come."""
+    kind: type[Departure | Latecomer] = Departure if arrival.key is DEPARTURE else Latecomer
+    said = bus.decode(arrival, kind)
+    if said is None or said.vehicle > MOST_VEHICLES:
+        return
+    what = said.vehicle, said.says if isinstance(said, Latecomer) else -1
+    if what not in known:
+        known.add(what)
+        bus.publish(arrival.key, arrival.payload, arrival.attachment or None)
 
 
 def _later(answered: Belief, belief: Belief) -> int:

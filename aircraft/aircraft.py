@@ -6,7 +6,8 @@ from typing import NamedTuple, Protocol
 
 from aircraft.operator import CommandName
 from aircraft.state import AircraftConfig, Arrived, Ned, Result, VehicleEvent
-from link.bus.keys import SEARCHERS, Key
+from aircraft.together import Together
+from link.bus.keys import Key
 from link.bus.mavlink import Message
 from link.bus.session import Arrival
 from link.modes import Mode
@@ -143,25 +144,29 @@ class Measured(NamedTuple):
 class GasSensor:
     """A gas sensor that answers at once. One that is asked over the bus says more."""
 
-    services = SEARCHERS  # the services without which the search does not begin
     keys: tuple[Key, ...] = ()  # on which it is answered
     dwell_s = 0.0  # that the vehicle hovers before it measures
-    among = 1  # how many vehicles began to search together, itself included
     waits_for = ""  # what it waits for before its vehicle is there for a search of several
+
+    def __init__(self, together: Together) -> None:
+        """Take the vehicles of its search."""
+        self.together = together
+
+    @property
+    def services(self) -> frozenset[str]:
+        """The services without which the search does not begin."""
+        return self.together.services
+
+    def latecomer(self) -> str:
+        """Return why its vehicle cannot join a search that has begun; empty if it can."""
+        return ""
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> Measured | None:
         """Take reading `number`; None: the values come later, through `take`."""
         raise NotImplementedError
 
-    def takes_part(self, step: int) -> int:
-        """Return how many vehicles take part in round `step` of a search by several."""
-        return self.among
-
     def go(self, places: Sequence[tuple[float, float]], step: int) -> None:
         """Learn where all vehicles that took part in round `step` go next, (x, y) m, in their order."""
-
-    def leaves(self, vehicle: int, step: int) -> None:
-        """Learn that a vehicle has left the search: `step` is the first round that it takes no part in."""
 
     def blow(self, u: float | None, phi: float | None) -> None:
         """Change speed or direction of the wind in a simulated world; None: as it was."""

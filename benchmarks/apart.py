@@ -18,7 +18,7 @@ import msgspec
 
 from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.rollout import mission
-from aircraft.search.together import Berth
+from aircraft.together import Berth
 from benchmarks.rows import append, read
 from link import cli
 from link.modes import Mode

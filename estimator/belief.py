@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 
 import msgspec
 import numpy as np
@@ -25,6 +26,7 @@ CLEAR = 5.0  # least `evidence` for a stop, nats
 # This many bit-identical readings in a row mean that a noisy sensor is stuck. No stop comes before so many.
 STUCK = 3
 REPEATS = 10  # readings at two places in turn: of 240 searches in gas as modelled, none had so many
+NOBODY: Mapping[int, Place] = MappingProxyType({})  # joins
 SAME = 1 / 4  # of the way between the two: places that are nearer to each other are one
 
 
@@ -126,15 +128,18 @@ def fit(posterior: Posterior, config: Config) -> float:
 
 
 def left_at(
-    read_at: Mapping[int, tuple[Place, Place]], numbers: Collection[int]
+    read_at: Mapping[int, tuple[Place, Place]],
+    numbers: Collection[int],
+    joining: Mapping[int, Place] = NOBODY,
 ) -> tuple[LeftAt, ...] | msgspec.UnsetType:
-    """Return where those have read that take no part in a round any more; UNSET: there are none.
+    """Return where those may be that take no part in a round, but have or will; UNSET: there are none.
 
     read_at: the first and the last place, (x, y) m, of each vehicle that has ever read.  numbers: those of
-    the round.
+    the round.  joining: where each takes off that is about to join, (x, y) m.
     """
-    gone = [LeftAt(number, *places) for number, places in sorted(read_at.items()) if number not in numbers]
-    return tuple(gone) or msgspec.UNSET
+    there = {**{number: (place, place) for number, place in joining.items()}, **read_at}
+    away = [LeftAt(number, *places) for number, places in sorted(there.items()) if number not in numbers]
+    return tuple(away) or msgspec.UNSET
 
 
 def stuck(posterior: Posterior, config: Config) -> Sequence[int]:

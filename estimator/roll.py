@@ -1,7 +1,8 @@
-"""The roll of a search by several vehicles: who takes part, and who has left it, from which round on.
+"""The roll of a search by several vehicles: who takes part, who has left it or joins, from which round on.
 
-When a vehicle leaves is the one thing in a search that a clock decides. It is therefore a message of the bus,
-a departure: what follows from readings and departures is the same wherever and whenever it is computed.
+When a vehicle leaves or joins is all in a search that a clock decides. It is therefore a message of the bus,
+a departure or a latecomer: what follows from readings and those is the same wherever and whenever it is
+computed.
 """
 
 import math
@@ -9,13 +10,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from time import monotonic as now_s
 
+import msgspec
+from msgspec import UNSET
+
 from estimator.admission import refusal
 from estimator.filter import Config
 from estimator.gathering import Gathering
-from link.bus.keys import DEPARTURE, HEALTH, LEAVE_OUT, OF_VEHICLE, READING
+from link.bus.keys import DEPARTURE, HEALTH, JOIN, LATECOMER, LEAVE_OUT, OF_VEHICLE, READING
 from link.bus.mavlink import READING_KINDS, BadFrame, Reading, split, unpack_reading
-from link.bus.messages import Departure, Health, LeaveOut, departure_text
+from link.bus.messages import Departure, Health, Join, Latecomer, LeaveOut, departure_text, latecomer_text
 from link.bus.session import Arrival, Bus, LivelinessChange, part_of
+from plume.problems.fleet import Place
 
 OVERDUE_S = 20.0  # real time for which a round waits for a vehicle: the others hover meanwhile
 AWAY = ("returning", "landed")  # states of a vehicle that reads no more
@@ -81,11 +86,12 @@ class Roll:
     def __init__(
         self, bus: Bus, rounds: Gathering, systems: list[int | None], config: Config, overdue_s: float
     ) -> None:
-        """Learn who has left before we joined.
+        """Learn who has left, and who came late, before we joined.
 
         systems: the MAVLink system id of each vehicle, None where it is not known yet.
         """
         self.left: list[Departure] = []
+        self.late: dict[int, Latecomer] = {}  # who comes late, by number: what says most
         self.vehicles = len(systems)  # that began
         self._bus, self._rounds, self._systems, self._config = bus, rounds, systems, config
         self._several = len(systems) > 1
@@ -94,15 +100,17 @@ class Roll:
         self._look_at_s, self._begin_at_s = 0.0, now_s() + LEARN_S
         self._told: set[int] = set()  # those whose readings after they left have been told of
         if self._several:
-            bus.subscribe(DEPARTURE, LEAVE_OUT, HEALTH)
+            bus.subscribe(DEPARTURE, LATECOMER, LEAVE_OUT, JOIN, HEALTH)
             bus.watch_services()
+            for arrival in bus.kept(LATECOMER):  # first: of one that came late and has left, both are known
+                self._hear_late(arrival)
             for arrival in bus.kept(DEPARTURE):
                 self._hear(arrival)
 
     def receive(self, most_s: float = math.inf) -> Arrival | None:
         """Return the next reading that may count.
 
-        None if somebody has left meanwhile, or if none has come for `most_s` of real time.
+        None if somebody has left or joins, or if none has come for `most_s` of real time.
         """
         until_s = now_s() + most_s
         while True:
@@ -113,14 +121,23 @@ class Roll:
                 return None
             match self._bus.receive(left_s if self._several else None):
                 case Arrival(key) as arrival if key is READING:
-                    if not self._rounds.is_over(arrival.vehicle):
+                    if self._rounds.is_late(arrival.vehicle):
+                        self._bus.refuse(READING, f"uav/{arrival.vehicle} has no round yet", "late")
+                    elif self._rounds.is_over(arrival.vehicle):
+                        self._refuse(arrival.vehicle)
+                    else:
                         return arrival
-                    self._refuse(arrival.vehicle)
                 case Arrival(key) as arrival if key is DEPARTURE:
                     if self._hear(arrival):
                         return None
                 case Arrival(key) as arrival if key is LEAVE_OUT:
                     if self._leave_out(arrival):
+                        return None
+                case Arrival(key) as arrival if key is LATECOMER:
+                    if self._hear_late(arrival):
+                        return None
+                case Arrival(key) as arrival if key is JOIN:
+                    if self._join(arrival):
                         return None
                 case Arrival(key) as arrival if key is HEALTH:
                     if (vehicle := self._number(part_of(arrival.name))) and (
@@ -134,6 +151,17 @@ class Roll:
     def forgotten(self, step: int) -> frozenset[int]:
         """Return the vehicles whose readings do not count in a round, nor those that they took before."""
         return frozenset(each.vehicle for each in self.left if each.forgotten and each.step <= step)
+
+    def joining(self, step: int) -> dict[int, Place]:
+        """Return where each vehicle takes off, (x, y) m, of which the others keep clear after a round."""
+        return {
+            each.vehicle: each.place
+            for each in self.late.values()
+            if each.place is not UNSET
+            and each.since <= step
+            and (each.step is UNSET or step < each.step)
+            and not self._rounds.has_ended(each.vehicle)
+        }
 
     def took(self, vehicle: int, payload: bytes) -> None:
         """Note the frames of a reading that counts."""
@@ -155,7 +183,9 @@ class Roll:
         # On the ground all wait for each other: for one that has not come yet without end.
         holding_up = self._rounds.missing() if self._rounds.has_begun else self._attendance.gone()
         # One that has left, but whose readings have not all come, cannot leave again: `--silence` ends that.
-        missing = [each for each in holding_up if not self._rounds.has_ended(each)]
+        missing = [
+            each for each in holding_up if not (self._rounds.has_ended(each) or self._rounds.is_late(each))
+        ]
         if not missing or self._bus.tally.ceased or not self._bus.connected:
             self._attendance.forgive()
             return False
@@ -163,13 +193,74 @@ class Roll:
         if time_s < self._begin_at_s:
             return False
         for vehicle, why in leaving:
-            self._part(Departure(vehicle, self._rounds.counts[vehicle - 1], why))
+            self._part(Departure(vehicle, self._rounds.step_of(vehicle), why))
         return bool(leaving)
 
     def _leave_out(self, arrival: Arrival) -> bool:
         """Let a vehicle leave as an operator orders; returns whether it does."""
         order = self._bus.decode(arrival, LeaveOut)
+        if order is not None and order.late:
+            return self._begin_without(order.vehicle)
         return order is not None and self.leave_out(order.vehicle, order.reason)
+
+    def _begin_without(self, number: int) -> bool:
+        """Let the others begin without a vehicle that has not come; returns whether they do."""
+        if number in self.late:
+            return False  # an estimator that starts again hears the order again
+        why = ""
+        if number not in (left := self._rounds.left()):
+            why = f"uav/{number} is none of the {len(self._systems)} vehicles"
+        elif number in self._attendance.known or self._rounds.number or self._rounds.counts[number - 1]:
+            why = f"uav/{number} has come" if number in self._attendance.known else "the search has begun"
+        elif left == [number]:
+            why = f"uav/{number} is the only one left"
+        if why:
+            self._bus.refuse(LEAVE_OUT, why, "order")
+            return False
+        return self._come_late(Latecomer(number))
+
+    def _join(self, arrival: Arrival) -> bool:
+        """Answer one that comes late and asks for its part; returns whether it comes nearer to it."""
+        wanted, late = self._bus.decode(arrival, Join), self.late.get(arrival.vehicle)
+        if wanted is None:
+            return False
+        why = "" if late else f"uav/{arrival.vehicle} does not come late"
+        why = "the search has ceased" if self._bus.tally.ceased else why
+        if not (why or (all(map(math.isfinite, wanted.place)) and self._config.area.holds(wanted.place))):
+            why = f"{wanted.place} is outside the area {self._config.area.text}"
+        if why or late is None:
+            self._bus.refuse(JOIN, why, "order")
+            return False
+        now = self._rounds.number
+        if late.says == 0:
+            return self._come_late(Latecomer(late.vehicle, wanted.place, now))
+        # It has to have seen a belief after which its place was kept clear.
+        if late.says == 1 and wanted.clear and late.since < now:
+            return self._come_late(msgspec.structs.replace(late, step=now))
+        self._bus.publish(LATECOMER, late)  # it has not heard our answer
+        return False
+
+    def _hear_late(self, arrival: Arrival) -> bool:
+        """Take from the bus how far a latecomer has come; returns whether it is news."""
+        said = self._bus.decode(arrival, Latecomer)
+        if said is None or said.says <= (self.late[said.vehicle].says if said.vehicle in self.late else -1):
+            return False
+        if said.vehicle > len(self._systems):
+            self._bus.refuse(LATECOMER, f"vehicle {said.vehicle} of {len(self._systems)}", "other vehicle")
+            return False
+        return self._come_late(said)
+
+    def _come_late(self, said: Latecomer) -> bool:
+        """Note how far a latecomer has come, and say so; returns whether that can be."""
+        try:
+            self._rounds.comes_late(said.vehicle, math.inf if said.step is UNSET else said.step)
+        except ValueError as error:
+            self._bus.refuse(LATECOMER, str(error), "conflicting")
+            return False
+        self.late[said.vehicle] = said
+        self._bus.publish(LATECOMER, said)
+        self._bus.log.info(latecomer_text(said))
+        return True
 
     def leave_out(self, number: int, reason: str) -> bool:
         """Let a vehicle leave from the next round on, its readings forgotten; returns whether it does."""
@@ -177,6 +268,7 @@ class Roll:
         if any(number == each.vehicle for each in self.left):
             return False  # an estimator that starts again hears the order again
         why = f"uav/{number} is none of the {len(self._systems)} vehicles" if number not in left else ""
+        why = f"uav/{number} takes no part yet" if number in self.late and number not in left else why
         why = "the search has ceased" if self._bus.tally.ceased else why
         if not why and left == [number]:
             why = f"uav/{number} is the only one left"
@@ -188,7 +280,8 @@ class Roll:
 
     def _part(self, said: Departure) -> None:
         """Let a vehicle leave, and say so, with the frames of its readings that count."""
-        frames = b"".join(self._frames[said.vehicle - 1][: said.step])
+        before = self._rounds.step_of(said.vehicle) - self._rounds.counts[said.vehicle - 1]
+        frames = b"".join(self._frames[said.vehicle - 1][: max(said.step - before, 0)])
         self._leave(said)
         self._bus.publish(DEPARTURE, said, frames if len(frames) <= MOST_FRAMES else None)
 

@@ -83,7 +83,8 @@ def run(
                 doubted = sorted({*stuck(posterior, config), *watch.doubted})
                 for each in taken:
                     read_at[each.vehicle] = read_at.get(each.vehicle, [each.position])[0], each.position
-                summary = _of_all(summary, taken, known, doubted, read_at)
+                summary = _of_all(summary, taken, known, doubted, read_at, roll.joining(rounds.number - 1))
+                summary = msgspec.structs.replace(summary, step=rounds.number - 1)
             particles = pack_particles(array)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(summary.step)
@@ -117,10 +118,12 @@ def _of_all(
     systems: Sequence[int | None],
     doubted: Sequence[int],
     read_at: Mapping[int, tuple[Place, Place]],
+    joining: Mapping[int, Place],
 ) -> Belief:
     """Return a round's belief with the readings that it answers, whose sensor seems to lie, and who has left.
 
-    read_at: where each vehicle that has ever read has read, first and last.
+    read_at: where each vehicle that has ever read has read, first and last.  joining: where each takes off
+    that is about to join.
     """
     readings = tuple(
         RoundReading(
@@ -137,7 +140,7 @@ def _of_all(
         said,
         readings=readings,
         doubted=tuple(doubted) if doubted else msgspec.UNSET,
-        left_at=left_at(read_at, [each.vehicle for each in taken]),
+        left_at=left_at(read_at, [each.vehicle for each in taken], joining),
     )
 
 
@@ -155,8 +158,11 @@ def _about(config: Config, roll: Roll) -> str:
     parts = [f"{config.particles} particles", f"assume {config.assume}", f"stop {config.criterion.text}"]
     if roll.vehicles > 1:
         parts.append(f"{roll.vehicles} vehicles")
-    if roll.left:
-        parts.append(f"without {', '.join(f'uav/{each.vehicle}' for each in roll.left)}")
+    if away := [
+        *(each.vehicle for each in roll.left),
+        *(k for k, late in roll.late.items() if late.says < 2),
+    ]:
+        parts.append(f"without {', '.join(f'uav/{vehicle}' for vehicle in away)}")
     return ", ".join(parts)
 
 

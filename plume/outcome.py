@@ -19,6 +19,7 @@ from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M, SURE_OUTSIDE, Scenario
 
 Quantiles = tuple[float, float, float]  # 5, 50 and 95%
 NOTHING: Mapping[str, Quantiles] = MappingProxyType({})
+NOBODY: Mapping[int, int] = MappingProxyType({})  # no vehicle, by its number
 # Words for gas, by the least coefficient of variation near the source that they stand for.
 BURSTS, COMES_AND_GOES = 1.0, 0.5
 ENDS = (0.025, 0.975)  # levels of the ends of a 95% interval
@@ -92,6 +93,13 @@ class Left(msgspec.Struct, frozen=True):
     forgotten: bool = False  # whether its readings from before do not count either
 
 
+class Joined(msgspec.Struct, frozen=True):
+    """A vehicle that has joined the search by several when the others had begun."""
+
+    vehicle: int  # its number, from 1
+    step: int  # the first round that it took part in
+
+
 class DoubtedOf(msgspec.Struct, frozen=True):
     """A vehicle whose sensor seemed to lie."""
 
@@ -149,6 +157,7 @@ class Outcome(msgspec.Struct, frozen=True):
     measured: tuple[MeasuredBy, ...] = ()  # by each vehicle, in their order
     left: tuple[Left, ...] = ()  # who has left the search before its end, in the order in which they did
     doubted: tuple[DoubtedOf, ...] = ()  # whose sensor seemed to lie, in the order in which they were named
+    joined: tuple[Joined, ...] = ()  # who has joined late, in the order in which they did
 
     @property
     def vehicles(self) -> int:
@@ -201,7 +210,8 @@ def outcome(
     last_word: LastWord | None = None,
     home: tuple[float, float] | None = None,
     left: Sequence[Left] = (),
-    doubted: Mapping[int, int] = MappingProxyType({}),
+    doubted: Mapping[int, int] = NOBODY,
+    joined: Mapping[int, int] = NOBODY,
 ) -> Outcome:
     """Judge a mission by its true scenario, None if it is not known, and its trace.
 
@@ -209,6 +219,7 @@ def outcome(
     are of the last belief; the last is 0 if as long as now.  home: latitude and longitude of the area's
     corner, degrees, if it is known.  left: who has left a search of several.
     doubted: by the number of a vehicle whose sensor seemed to lie, the step at which it was named.
+    joined: by the number of a vehicle that joined late, the first round that it took part in.
     """
     last = trace[-1]
     source = scenario.nearest(last.mean) if scenario else None
@@ -230,7 +241,7 @@ def outcome(
         scenario=scenario,
         error_m=error_m,
         spread_m=last.spread,
-        steps=max(map(len, paths)) - 1,
+        steps=max(joined.get(number, 0) + len(path) for number, path in enumerate(paths, 1)) - 1,
         distance_m=reduce(add, distances_m),
         search_time_s=search_time_s,
         assume=assume,
@@ -254,6 +265,7 @@ def outcome(
         ),
         left=tuple(left),
         doubted=tuple(DoubtedOf(vehicle, step) for vehicle, step in doubted.items()),
+        joined=tuple(Joined(vehicle, step) for vehicle, step in joined.items()),
     )
 
 
@@ -310,16 +322,19 @@ def outcome_text(result: Outcome) -> str:
 
 
 def vehicle_lines(result: Outcome) -> list[str]:
-    """Lines for people, each within 60 characters: what each of several has measured, and who has left.
+    """Lines for people, each within 60 characters: what each of several has measured, who has joined or left.
 
     And whose sensor seemed to lie.
     """
     lines, left = [], {each.vehicle: each for each in result.left}
+    joined = {each.vehicle: each.step for each in result.joined}
     doubted = {each.vehicle: each.step for each in result.doubted}
     for each in result.measured if result.vehicles > 1 else ():
         count = f"{each.readings} reading{'' if each.readings == 1 else 's'}"
         most = "" if each.largest is None else f", at most {_short(each.largest, 2)}"
         lines.append(f"{f'uav/{each.vehicle}':<9}{count}{most}")
+        if each.vehicle in joined:
+            lines.append(f"{'':9}joined at step {joined[each.vehicle]}")
         if each.vehicle in doubted:
             lines.append(f"{'':9}doubted from step {doubted[each.vehicle]}: does not fit the others")
         if gone := left.get(each.vehicle):

@@ -24,6 +24,7 @@ from plume.worlds.world import World
 
 OWN_MOVES: Mapping[str, float] = MappingProxyType({})  # the planner's own moves
 NOBODY: Mapping[int, int] = MappingProxyType({})  # leaves the search
+NOBODY_LATE: Mapping[int, tuple[int, int]] = MappingProxyType({})  # joins it
 # Fields of `Config` that may be given for a mission; the others have arguments of their own, or come from the
 # scenario.
 FURTHER = ("margin_m", "priors", "sensor", "stop_on_location", "stop_limits")
@@ -62,20 +63,22 @@ def mission(
     fleet: Fleet = ALONE,
     leaving: Mapping[int, int] = NOBODY,
     forgotten: Collection[int] = (),
+    joining: Mapping[int, tuple[int, int]] = NOBODY_LATE,
     **knowledge: Any,
 ) -> Mission:
     """Prepare the mission of a seed with a policy, by default with the paper's assumption.
 
     `moves`: fields of `Reach`. `ends`: whether the stop ends it. `budget` and `world`: the problem's if None.
     `fleet`: the vehicles that fly it together; `leaving`: the first round without a vehicle, by its number;
-    `forgotten`: those of them whose readings do not count from then on.
+    `forgotten`: those of them whose readings do not count from then on; `joining`: of each that comes late,
+    the first round after which the others keep clear of its place, and the first that it takes part in.
     `knowledge`: other fields of `Config`, like the sensor.
     """
     problem = with_arguments(problem, budget=budget, world=world)
     there, config = prepared(seed, problem, particles, threshold_m, **knowledge)
     within = reach(policy, moves, problem)
     agent_seed = derived_seed(seed, "agent")
-    steps = _steps(there, config, policy, agent_seed, within, ends, fleet, leaving, forgotten)
+    steps = _steps(there, config, policy, agent_seed, within, ends, fleet, leaving, forgotten, joining)
     return Mission(there.truth, config, steps)
 
 
@@ -124,8 +127,10 @@ def _steps(
     fleet: Fleet,
     leaving: Mapping[int, int],
     forgotten: Collection[int],
+    joining: Mapping[int, tuple[int, int]],
 ) -> Iterator[Step]:
-    rounds = Rounds(world, config, fleet.starts(world.start, world.seed, config.area), leaving, forgotten)
+    starts = fleet.starts(world.start, world.seed, config.area)
+    rounds = Rounds(world, config, starts, leaving, forgotten, joining)
     positions, decision_s = rounds.places, 0.0
     for step in range(world.problem.budget + 1):
         flown = rounds.fly(positions)

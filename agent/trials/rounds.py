@@ -42,23 +42,29 @@ class Rounds:
         starts: Sequence[Place],
         leaving: Mapping[int, int] = MappingProxyType({}),
         forgotten: Collection[int] = (),
+        joining: Mapping[int, tuple[int, int]] = MappingProxyType({}),
     ) -> None:
         """Take the world as vehicle 1 measures it, and the vehicles' places.
 
         leaving: the first round that a vehicle takes no part in, by its number, from 1, if it leaves.
         forgotten: those of them whose readings do not count from then on.
+        joining: of each that comes late, the first round after which the others keep clear of its place, and
+        the first that it takes part in.
         """
         self._config = config
         self._posterior = prior(config)
         self._time = RoundTime(world, starts)
         self._before: list[Before | None] = [None] * len(starts)
         self._read_at: dict[int, tuple[Place, Place]] = {}  # where each vehicle has read, first and last
-        self._leaving, self._forgotten = leaving, forgotten
-        self.numbers: Sequence[int] = range(1, len(starts) + 1)  # of the vehicles of the last round
+        self._leaving, self._forgotten, self._joining = leaving, forgotten, joining
+        # Of the vehicles of the last round; before the first of those that begin.
+        self.numbers: Sequence[int] = [
+            number for number in range(1, len(starts) + 1) if not self._joins(number)
+        ]
 
     @property
     def places(self) -> Sequence[Place]:
-        """Where the vehicles of the last round are."""
+        """Where the vehicles of the last round are; before the first of those that begin."""
         return [self._time.places[number - 1] for number in self.numbers]
 
     @property
@@ -75,7 +81,10 @@ class Rounds:
         """
         self._time.go(places, self.numbers)
         round_number = self._time.number
-        self.numbers = [each for each in self.numbers if round_number < self._leaving.get(each, math.inf)]
+        there = sorted(
+            {*self.numbers, *(each for each in self._joining if self._joins(each) == round_number)}
+        )
+        self.numbers = [each for each in there if round_number < self._leaving.get(each, math.inf)]
         if not self.numbers:
             raise ValueError(f"all vehicles have left before round {round_number}")
         readings = [self._reading(number - 1) for number in self.numbers]
@@ -88,8 +97,18 @@ class Rounds:
         for each in readings:
             first = self._read_at.get(each.vehicle, [each.position])[0]
             self._read_at[each.vehicle] = first, each.position
-        said = msgspec.structs.replace(said, left_at=left_at(self._read_at, self.numbers))
+        stand = {
+            each: self._time.places[each - 1]
+            for each, (since, step) in self._joining.items()
+            if since <= round_number < step
+        }
+        away = left_at(self._read_at, self.numbers, stand)
+        said = msgspec.structs.replace(said, step=round_number, left_at=away)
         return Round(readings, said, particles, self._posterior, time.process_time() - began)
+
+    def _joins(self, vehicle: int) -> int:
+        """Return the first round that a vehicle takes part in."""
+        return self._joining.get(vehicle, (0, 0))[1]
 
     def _reading(self, vehicle: int) -> Reading:
         now, place, world = self._time, self._time.places[vehicle], self._time.worlds[vehicle]

@@ -49,6 +49,7 @@ def real_uav(
     search = Search(vehicle, berth.start if berth else orders.world.start, orders.after_stop, say)
     clients = RealClients(vehicle, search, bus, outs, clock, Handling(say.log), signing)
     vehicles = 1 + len(berth.others) if berth else 1
-    sensor = AskedSensor(vehicle, bus, Winds(wind, orders.world.wind, say), vehicles, orders.number or 1)
+    winds = Winds(wind, orders.world.wind, say)
+    sensor = AskedSensor(vehicle, bus, winds, vehicles, orders.number or 1, berth)
     sensor.dwell_s = orders.world.sensor.dwell
     return Uav(search, clients, sensor, equipment, orders.events)

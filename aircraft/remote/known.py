@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.firmware import ARDUCOPTER, FIRMWARES, POSITION_GOOD, Firmware, stands
 from aircraft.remote.glitches import Fix, Glitches
-from aircraft.search.together import Berth
 from aircraft.state import ZERO, Ned, as_float32
+from aircraft.together import Berth
 from link.bus.mavlink import Message, Texts
 from link.modes import Mode
 from plume.geodesy import home_from, to_local

@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from aircraft.remote.commander import Steps
 from aircraft.remote.procedures import ENDED, Procedures
 from aircraft.remote.safety import ASKED, Check, Verdict, checks
-from aircraft.search.together import Place
 from aircraft.state import LOW_BATTERY, AircraftConfig, VehicleFailed
+from aircraft.together import Place
 from link.bus.keys import OF_VEHICLE
 from plume.problem import Area
 

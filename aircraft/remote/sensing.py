@@ -9,8 +9,8 @@ from aircraft.operator import SEARCH
 from aircraft.payload.messages import pack_question, unpack_answer
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.remote.winds import Winds
-from aircraft.search.together import Together
 from aircraft.state import Arrived, Ned
+from aircraft.together import AT_START_M, Berth, Together
 from link.bus.backoff import Backoff
 from link.bus.keys import OF_VEHICLE, PAYLOAD_IN, PAYLOAD_OUT, RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.mavlink import Codec
@@ -27,14 +27,19 @@ class AskedSensor(GasSensor):
     keys = (PAYLOAD_OUT,)
 
     def __init__(
-        self, vehicle: RemoteVehicle, bus: Bus, winds: Winds, vehicles: int = 1, number: int = 1
+        self,
+        vehicle: RemoteVehicle,
+        bus: Bus,
+        winds: Winds,
+        vehicles: int = 1,
+        number: int = 1,
+        berth: Berth | None = None,
     ) -> None:
-        """Take the vehicle, how many search together with it, itself included, and its number there."""
-        self._vehicle, self._bus, self._winds = vehicle, bus, winds
-        self._together, self.among, self._number = Together(vehicles), vehicles, number
+        """Take the vehicle, how many search together with it, itself included, its number and place there."""
+        super().__init__(Together(vehicles, number, berth))
+        self._vehicle, self._bus, self._winds, self._number = vehicle, bus, winds, number
         self._payload = "payload" if vehicles == 1 else f"payload/{number}"
         self._announced = vehicles == 1
-        self._wants_others()
         self._codec = Codec(0, SEARCH)
         self._open: tuple[int, bytes] | None = None  # time_boot_ms of the question, and its frames
         self._repeating = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
@@ -53,18 +58,20 @@ class AskedSensor(GasSensor):
             self._bus.announce()
             self._announced = True
 
-    def takes_part(self, step: int) -> int:
-        """Return how many vehicles take part in a round."""
-        return len(self._together.here(step)) if self.among > 1 else 1
+    @property
+    def services(self) -> frozenset[str]:
+        """Those that are left, and its own payload: its own token says when it can take off."""
+        return self.together.services - {f"{OF_VEHICLE}{self._number}"} | {self._payload}
 
-    def leaves(self, vehicle: int, step: int) -> None:
-        """Learn that a vehicle has left the search. It is not waited for."""
-        self._together.leaves(vehicle, step)
-        self._wants_others()
-
-    def _wants_others(self) -> None:
-        """Wait for those that are left, and for its own payload: its own token says when it can take off."""
-        self.services = self._together.services - {f"{OF_VEHICLE}{self._number}"} | {self._payload}
+    def latecomer(self) -> str:
+        """Return why its vehicle cannot join a search that has begun: its way up is not kept clear."""
+        berth, (north, east, _) = self.together.berth, self._vehicle.flight.known.place
+        if berth and (away_m := math.dist((east, north), berth.start)) > AT_START_M:
+            return (
+                f"to join late it has to stand within {AT_START_M:g} m of its start "
+                f"({berth.start[0]:.1f}, {berth.start[1]:.1f}); it is {away_m:.1f} m away"
+            )
+        return ""
 
     def measure(self, arrived: Arrived, time_boot_ms: int, number: int) -> None:
         """Ask for reading `number`. An open question is replaced: its answer no longer counts."""

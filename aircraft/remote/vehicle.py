@@ -11,7 +11,6 @@ from aircraft.remote.known import Global
 from aircraft.remote.preflight import WAITING, Preflight
 from aircraft.remote.procedures import Procedures
 from aircraft.remote.watch import Watch
-from aircraft.search.together import Berth
 from aircraft.state import (
     ACCEPTED,
     AircraftConfig,
@@ -26,6 +25,7 @@ from aircraft.state import (
     metres,
     not_now,
 )
+from aircraft.together import Berth
 from link.modes import Mode
 
 POLL_S = 0.05

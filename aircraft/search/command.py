@@ -10,9 +10,9 @@ from aircraft.bridge.address import parse_out
 from aircraft.search.clock import Clock
 from aircraft.search.events import OnBoard
 from aircraft.search.search import AfterStop
-from aircraft.search.together import Berth
 from aircraft.search.uav import Equipment, Speaker, Uav
 from aircraft.state import VehicleFailed
+from aircraft.together import Berth
 from link import cli
 from link.bus.inbox import Inbox
 from link.bus.log import Log

@@ -175,6 +175,13 @@ class Timeline:
             self._stepped.remove(event)
             self._perform(event)
 
+    def join(self, step: int) -> None:
+        """Begin with a step: of the events before it only the wind has happened."""
+        for event in [event for event in self._stepped if (event.step or 0) < step]:
+            self._stepped.remove(event)
+            if isinstance(event, Wind):
+                self._perform(event)
+
     def held(self, now_s: float) -> None:
         """The operator has held the vehicle: the next resume with `after_s` counts from now."""
         if self._after_hold_s:

@@ -46,6 +46,11 @@ class Sampling:
         """The number of the newest reading; -1 before the first."""
         return self._number - 1
 
+    def begin(self, number: int) -> None:
+        """Begin with reading `number`, in a search that others have begun."""
+        self._number = number
+        self._timeline.join(number)
+
     @property
     def is_wanted(self) -> bool:
         """Whether an arrival is measured.

@@ -30,15 +30,19 @@ from aircraft.search.events import (
 from aircraft.search.sampling import Sampling
 from aircraft.search.search import PAUSED, SEARCHING, STANDBY, Search
 from aircraft.state import Arrived, Reached, TakenOver, VehicleFailed
+from aircraft.together import Joining
+from link.bus.backoff import Backoff
 from link.bus.inbox import Inbox
-from link.bus.keys import DEPARTURE, MAVLINK_IN, STOP, WAYPOINT
+from link.bus.keys import BELIEF, DEPARTURE, JOIN, LATECOMER, MAVLINK_IN, STOP, WAYPOINT
 from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, unpack_plan, unpack_waypoint
-from link.bus.messages import Departure
+from link.bus.messages import Belief, Departure, Latecomer
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.bus.tally import FAULT
 from link.interrupts import uninterrupted
 from link.signing.signer import Signing
+
+ASK_S = 0.25  # real time after which a latecomer asks again for its part
 
 
 class Speaker:
@@ -118,6 +122,8 @@ class Uav:
         self._sampling = Sampling(search, clients, sensor, self._timeline, self._bus, self._log)
         self._services: set[str] = set()
         self._left: set[int] = set()  # the vehicles that have left a search of several
+        self._joining: Joining | None = None  # while it comes late and has no part in the search yet
+        self._asking = Backoff(ASK_S, ASK_S)
         self._tally.state = search.state
         self._say.clients = clients
         self._meet()
@@ -131,7 +137,9 @@ class Uav:
     def run(self) -> None:
         """Run the service until it is interrupted."""
         if self._bus:
-            together = [DEPARTURE] * (self._sensor.among > 1)
+            together = [DEPARTURE, LATECOMER] if self._sensor.together.among > 1 else []
+            for arrival in self._bus.kept(LATECOMER) if together else ():  # before it may take off
+                self._handle(arrival)
             self._bus.subscribe(MAVLINK_IN, WAYPOINT, STOP, *together, *self._sensor.keys)
             self._bus.watch_services()
             self._bus.publish_health()
@@ -197,6 +205,7 @@ class Uav:
                 self._clock.wait_s(self._next_event_s(), math.inf),
                 self._clients.wait_s(),
                 max(self._sampling.next_s() - time.monotonic(), 0.0),
+                max(self._asking.due_s - time.monotonic(), 0.0) if self._joining else math.inf,
             )
         try:
             return self._inbox.get(timeout=min(wait_s, SIGNAL_POLL_S))
@@ -217,12 +226,13 @@ class Uav:
 
     def _hear(self, bus: Bus, arrival: Arrival) -> None:
         """Take a message from the bus. Raises BadFrame."""
-        if arrival.key is WAYPOINT and self._search.left:
-            return  # it is for those that are left
-        if arrival.key is WAYPOINT and self._sensor.among > 1:
+        together = self._sensor.together
+        if arrival.key is WAYPOINT and (self._search.left or self._sampling.newest < together.begin - 1):
+            return  # it is for those that take part
+        if arrival.key is WAYPOINT and together.among > 1:
             waypoint, places = unpack_plan(arrival.payload, self._clients.system)
             step = self._sampling.newest
-            wanted = self._sensor.takes_part(step)
+            wanted = len(together.here(step))
             if len(places) != wanted and waypoint.time_boot_ms == self._search.answers.newest:
                 raise BadFrame(f"{len(places)} waypoints; wanted one for each of {wanted} vehicles")
             own = waypoint.y, waypoint.x  # the vehicle judges it
@@ -236,6 +246,12 @@ class Uav:
         elif arrival.key is DEPARTURE:
             if left := bus.decode(arrival, Departure):
                 self._leaves(bus, left)
+        elif arrival.key is LATECOMER:
+            if late := bus.decode(arrival, Latecomer):
+                self._comes_late(bus, late)
+        elif arrival.key is BELIEF:
+            if self._joining and (belief := bus.decode(arrival, Belief)):
+                self._joining.hear(belief)
         elif arrival.key is STOP:
             if stop := bus.take_stop(arrival):
                 self._search.declare(stop)
@@ -248,12 +264,29 @@ class Uav:
         """Take that a vehicle has left the search. Raises BadFrame."""
         if left.vehicle in self._left:
             return
-        if left.vehicle > self._sensor.among:
-            raise BadFrame(f"vehicle {left.vehicle} of {self._sensor.among} has left", "other vehicle")
+        if left.vehicle > self._sensor.together.among:
+            raise BadFrame(
+                f"vehicle {left.vehicle} of {self._sensor.together.among} has left", "other vehicle"
+            )
         self._left.add(left.vehicle)
-        self._sensor.leaves(left.vehicle, left.step)
+        self._sensor.together.leaves(left.vehicle, left.step)
         if left.vehicle == bus.vehicle:
             self._search.leave(left.reason)
+
+    def _comes_late(self, bus: Bus, late: Latecomer) -> None:
+        """Take how far a vehicle that comes late has come, this one perhaps. Raises BadFrame."""
+        together = self._sensor.together
+        if late.vehicle > together.among:
+            raise BadFrame(f"vehicle {late.vehicle} of {together.among} comes late", "other vehicle")
+        together.comes_late(late)
+        if late.vehicle != bus.vehicle or self._search.state != STANDBY:
+            return
+        if together.begin < math.inf and self._joining:
+            self._joining = None
+            self._sampling.begin(int(together.begin))
+        elif together.begin == math.inf and not self._joining and together.berth:
+            self._joining = Joining(late.vehicle, together.berth)
+            bus.subscribe(BELIEF, newest=True)
 
     def _answer(self, waypoint: Message) -> bool:
         """Take the answer to a reading; returns whether it is accepted."""
@@ -273,16 +306,31 @@ class Uav:
 
     def _go_on_with_the_search(self) -> None:
         absent = self._sensor.services - self._services
-        self._search.go_on(not absent)
+        self._search.go_on(not absent and (not self._joining or self._search.found))
         if self._search.state == STANDBY:
             self._sensor.prepare(self._search.waits_for, absent)
         waits_for = self._search.waits_for or self._sensor.waits_for
+        if self._joining and not (absent or waits_for or self._search.is_over):
+            waits_for = self._ask_to_join(self._joining)
         self._tally.warnings = tuple(filter(None, (waits_for, self._vehicle.caveat)))
         if self._tally.state != self._search.state:
             self._tally.state = self._search.state
             self._clients.changed()
             if self._bus:
                 self._bus.publish_health()
+
+    def _ask_to_join(self, joining: Joining) -> str:
+        """Ask for its part in a search that others have begun; returns what it waits for."""
+        if why := self._sensor.latecomer():
+            return why
+        if self._bus and self._vehicle.free and self._asking.due(now_s := time.monotonic()):
+            self._bus.publish(JOIN, joining.asks)
+            self._asking.tried(now_s)
+        return (
+            "joins late: waits for its round"
+            if joining.asks.clear
+            else "joins late: waits for a clear take-off"
+        )
 
     def _perform(self, event: OnBoard) -> None:
         fields = msgspec.structs.asdict(event).items()

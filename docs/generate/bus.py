@@ -114,9 +114,14 @@ these:
    `forgotten` set: the readings that the vehicle took before no longer count either. From that `step` on the belief is the one that the others'
    readings alone give, in the order of rounds and vehicles, from the prior on. The last vehicle that is left cannot be left out.
 10. Who was on the bus and is gone from it for `--overdue` seconds before any vehicle has read leaves at step 0: the others take off. For one that
-   has not come yet all wait without end.
+   has not come yet all wait without end, unless it comes late.
 11. A belief names in `doubted` the vehicle whose readings of the rounds before do not fit the others', and those whose sensor is stuck.
    The estimator warns of them in its health.
+12. A vehicle **joins late** after an order on `leave-out` with `late` set, given before it has come. The estimator publishes that on `latecomer`, and
+   the others begin. A vehicle that finds itself named there does not take off: it asks on `join`. The estimator answers on `latecomer` with where it
+   takes off, and beliefs from `since` on have that place in `left_at`: the others keep clear of it. Once a belief has it, and the readings of that
+   round were taken clear of it, the vehicle asks with `clear` set. It is given the next round as its `step`, takes off, and its first reading is the
+   one of that round. When it joined is, as when one left, a message: agent and estimator say again what they hear of it, each stage once.
 
 ## Late joiners
 
@@ -153,7 +158,7 @@ A refused message is dropped. It never stops a service and never changes the bel
 | `late` | a reading older than the newest one |
 | `conflicting` | a different reading with the newest one's time |
 | `left` | a reading of a vehicle that has left the search of several |
-| `order` | an order to leave out a vehicle that the search does not have, or its last one, or after the stop |
+| `order` | an order to leave out a vehicle that the search does not have, or its last one, or after the stop; a request to join of one that does not come late |
 | `repeated` | the newest reading again: it is not assimilated twice, but the belief is published again |
 | `overflow` | the oldest waiting message of a key, if more than {WAITING_MESSAGES:,} (in addition to the kept ones) or {MIB} MiB wait |
 | `fault` | a MAVLink message that the vehicle could not handle for a fault of its own |

@@ -1,12 +1,12 @@
-"""`plumeward leave-out K`: an order to let a vehicle leave a search of several, its readings forgotten."""
+"""`plumeward leave-out K`: an order to let a vehicle leave a search of several, or to begin without it."""
 
 import argparse
 import sys
 import time
 
 from link import cli
-from link.bus.keys import DEPARTURE, LEAVE_OUT, OF_VEHICLE
-from link.bus.messages import Departure, LeaveOut, departure_text
+from link.bus.keys import DEPARTURE, LATECOMER, LEAVE_OUT, OF_VEHICLE
+from link.bus.messages import Departure, Latecomer, LeaveOut, departure_text, latecomer_text
 from link.bus.session import Arrival, Bus
 from link.terminal import printable
 
@@ -16,10 +16,16 @@ ANSWER_S = 5.0  # longest time until the estimator says that the vehicle has lef
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
     parser.description = (
-        "Let a vehicle leave a search of several. The others go on, and its readings are forgotten."
+        "Let a vehicle leave a search of several. The others go on, and its readings are forgotten. With "
+        "--late, let them begin without one that has not come yet."
     )
     parser.add_argument(
         "vehicle", type=cli.whole(1, cli.MOST_VEHICLES), metavar="K", help="the number of the vehicle: uav/K"
+    )
+    parser.add_argument(
+        "--late",
+        action="store_true",
+        help="it has not come yet: the others begin without it, and it joins when it comes",
     )
     cli.add_bus_arguments(parser, namespace="search/1")
 
@@ -41,27 +47,32 @@ def run(args: argparse.Namespace) -> int:
             print(f"error: no estimator on {printable(args.namespace)}", file=sys.stderr)
             return cli.FAILED
         known = sorted(part for part in there if part.startswith(OF_VEHICLE))
-        if f"{OF_VEHICLE}{args.vehicle}" not in known:
+        if args.late and f"{OF_VEHICLE}{args.vehicle}" in known:
+            raise cli.BadInput(f"--late: uav/{args.vehicle} is there: the others wait for nobody else")
+        if not args.late and f"{OF_VEHICLE}{args.vehicle}" not in known:
             raise cli.BadInput(
                 f"K: uav/{args.vehicle} is not there; wanted one of {', '.join(known) or 'several vehicles'}"
             )
-        bus.subscribe(DEPARTURE)
-        bus.publish(LEAVE_OUT, LeaveOut(args.vehicle, "left out by an operator"))
+        bus.subscribe(LATECOMER if args.late else DEPARTURE)
+        bus.publish(LEAVE_OUT, LeaveOut(args.vehicle, "left out by an operator", args.late))
         until_s = time.monotonic() + ANSWER_S
         while (left_s := until_s - time.monotonic()) > 0:
-            if left := _departure(bus, bus.receive(left_s), args.vehicle):
-                print(departure_text(left))
+            if answer := _answer(bus, bus.receive(left_s), args.vehicle):
+                print(answer)
                 return 0
     print(
-        f"error: uav/{args.vehicle} has not left within {ANSWER_S:g} s; the estimator's log says why",
+        f"error: the estimator has not obeyed within {ANSWER_S:g} s; its log says why",
         file=sys.stderr,
     )
     return cli.FAILED
 
 
-def _departure(bus: Bus, item: object, vehicle: int) -> Departure | None:
-    """Return that a vehicle has left, if this says so."""
-    if not isinstance(item, Arrival) or item.key is not DEPARTURE:
-        return None
-    said = bus.decode(item, Departure)
-    return said if said and said.vehicle == vehicle else None
+def _answer(bus: Bus, item: object, vehicle: int) -> str:
+    """Return in words that a vehicle has left or comes late, if this says so."""
+    if not isinstance(item, Arrival):
+        return ""
+    if item.key is LATECOMER:
+        late = bus.decode(item, Latecomer)
+        return latecomer_text(late) if late and late.vehicle == vehicle else ""
+    left = bus.decode(item, Departure) if item.key is DEPARTURE else None
+    return departure_text(left) if left and left.vehicle == vehicle else ""

@@ -179,6 +179,8 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
     left = [Left(each.vehicle, each.step, each.reason, each.forgotten) for each in survey.left.values()]
     if left:
         plain["left"] = msgspec.to_builtins(left)
+    if survey.joined:
+        plain["joined"] = [{"vehicle": each, "step": step} for each, step in survey.joined.items()]
     if survey.doubted:
         plain["doubted"] = [{"vehicle": each, "step": step} for each, step in survey.doubted.items()]
     try:
@@ -208,6 +210,7 @@ def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], lis
         advised_dwell_s=last.advised_dwell,
         left=left,
         doubted=survey.doubted,
+        joined=survey.joined,
     )
     judged = {
         "located": result.located,

@@ -12,7 +12,7 @@ import msgspec
 
 from ground.tlog.log import LISTED, few
 from link.bus.mavlink import WRAP_MS
-from link.bus.messages import Belief, Departure, Stop, by_number
+from link.bus.messages import Belief, Departure, Latecomer, Stop, by_number
 from link.record.record import Entry, began_s
 from link.terminal import printable
 from plume.outcome import TracePoint
@@ -50,6 +50,7 @@ class Survey:
         self.trace: dict[int, list[TracePoint]] = {}
         self.last: Belief | None = None  # the first belief of the last step
         self.left: dict[int, Departure] = {}  # who has left a search of several, by number
+        self.joined: dict[int, int] = {}  # who has joined it late, by number: the first round
         self.doubted: dict[int, int] = {}  # when a vehicle was named whose sensor seemed to lie: its step
         self.restarts: Counter[str] = Counter()
         # Digests of the messages of the keys whose repeats mean something.
@@ -126,6 +127,7 @@ class Survey:
             ("belief", "belief", Belief),
             ("agdc/stop", "stop", Stop),
             ("departure", "departure", Departure),
+            ("latecomer", "latecomer", Latecomer),
             ("health/", "health message", Alive),
         ):
             if entry.key.startswith(prefix):
@@ -149,6 +151,9 @@ class Survey:
                 self.last = message
         elif isinstance(message, Departure):
             self.left.setdefault(message.vehicle, message)
+        elif isinstance(message, Latecomer):
+            if message.step is not msgspec.UNSET:
+                self.joined.setdefault(message.vehicle, message.step)
         elif isinstance(message, Alive):
             self.restarts[key.removeprefix("health/")] += message.uptime_s < self._up_s.get(key, -math.inf)
             self._up_s[key] = message.uptime_s

@@ -23,6 +23,7 @@ from link.bus.keys import (
     BELIEF,
     DEPARTURE,
     HEALTH,
+    LATECOMER,
     READING,
     RESEND_FIRST_S,
     RESEND_LAST_S,
@@ -42,6 +43,7 @@ from sitl.launch.progress import Progress, pace
 ANSWER_TIMEOUT_S = 10.0  # longest wait for an answer, s of real time, or three times the longest recorded one
 RETURN_TIMEOUT_S = 60.0  # longest wait for a service that is gone: somebody may be starting it again
 NOBODY = 0  # no vehicle has this number
+ROLL = {key.name: key for key in (DEPARTURE, LATECOMER)}  # who has left, and who comes late
 SETTLE_S = 0.3  # wait for unexpected answers at the end, s of real time, or twice the longest answer time
 
 
@@ -66,12 +68,12 @@ def replay(
         together = numbers(source.vehicles)
         joined = partial(Bus, connect=endpoint, namespace=source.namespace, secure=secure)
         bus = stack.enter_context(joined("uav", inbox=inbox, vehicles=together))
-        # With certificates each vehicle speaks for itself alone, and none says who has left.
+        # With certificates each vehicle speaks for itself alone, and none says who has left or comes late.
         others = {
             number: stack.enter_context(joined("uav", announced=False, vehicles=[number]))
             for number in (together[1:] if secure else ())
         }
-        if secure and source.turns.departures:
+        if secure and source.turns.roll:
             others[NOBODY] = stack.enter_context(joined("agent", announced=False, vehicles=together))
         bus.subscribe(BELIEF, STOP, WAYPOINT, HEALTH)
         bus.watch_services()
@@ -111,7 +113,7 @@ class Player:
         """Take the bus, joined as the uav.
 
         others: that on which a vehicle of a search speaks, by its number, if not on the first; that of
-        NOBODY says who has left.
+        NOBODY says who has left or comes late.
         own: the services were started for this replay.
         """
         self._bus, self._others = bus, others
@@ -157,8 +159,8 @@ class Player:
 
     def play(self, speedup: float) -> None:
         """Publish all messages at their pace, up to the first difference."""
-        for left in self._source.turns.departures:  # first: no reading may come before it that is too late
-            self._speaker(NOBODY).publish(DEPARTURE, left.payload)
+        for said in self._source.turns.roll:  # first: no reading may come before it that is too late
+            self._speaker(NOBODY).publish(ROLL[said.key], said.payload)
         began, first_ns = time.monotonic(), self._source.entries[0].published_ns
         for entry in self._source.entries:
             if speedup:

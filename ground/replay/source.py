@@ -88,7 +88,7 @@ class Source(NamedTuple):
     # Vehicles that searched together. Keys of the last one have their plain names in `entries`: its reading
     # is the last of a round, which the services answer.
     vehicles: int = 1
-    turns: Turns = Turns()  # the rounds of a search that vehicles have left
+    turns: Turns = Turns()  # the rounds of a search that vehicles have left or joined late
 
     def time_of(self, entry: Entry) -> int | None:
         """Return the time of a reading that the services answer, ms, as of its answers."""
@@ -156,8 +156,8 @@ def recording(path: Path, bundle: str | None = None) -> Source:
     note = ""
     sure_ms = sure_ns = math.inf
     turns = Turns.of(log.entries[: log.damage[0].before] if log.damage else log.entries)
-    left = bool(turns.departures)
-    entries = turns.named(log.entries) if left else _as_the_last_one_says(log.entries, told.fleet.vehicles)
+    changes = bool(turns.roll)
+    entries = turns.named(log.entries) if changes else _as_the_last_one_says(log.entries, told.fleet.vehicles)
     sound = entries[: log.damage[0].before] if log.damage else entries
     then = verify.said(sound, turns.placed)
     asked: dict[int, int] = {}  # by the time of a reading, when it was published first
@@ -177,7 +177,7 @@ def recording(path: Path, bundle: str | None = None) -> Source:
     )
     return Source(
         path,
-        turns.in_order(flown) if left else _in_rounds(flown, told.fleet.vehicles),
+        turns.in_order(flown) if changes else _in_rounds(flown, told.fleet.vehicles),
         then,
         parts,
         told.namespace,

@@ -1,8 +1,8 @@
-"""Which reading closes each round of a search that vehicles have left, and by which time a replay calls it.
+"""Which reading closes each round of a search that vehicles leave or join, and when a replay calls it.
 
 Each vehicle has a clock of its own, and the services answer a round at the time of its last reading. While
-the last vehicle is the same, its clock tells the rounds apart. When it has left, it is another's, which may
-be behind.
+the last vehicle is the same, its clock tells the rounds apart. When it has left, or joins late, it is
+another's, which may be behind.
 """
 
 from collections.abc import Iterable
@@ -13,9 +13,9 @@ from typing import NamedTuple
 import msgspec
 
 from ground.replay.verify import Answer
-from link.bus.keys import BELIEF, DEPARTURE, READING, row_name
+from link.bus.keys import BELIEF, DEPARTURE, LATECOMER, READING, row_name
 from link.bus.mavlink import BadFrame, nearest, split, unpack_reading
-from link.bus.messages import Belief, Departure
+from link.bus.messages import Belief, Departure, Latecomer
 from link.record.record import Entry
 
 Said = tuple[int, int]  # the system of a reading, and its time_boot_ms
@@ -30,10 +30,11 @@ class Closing(NamedTuple):
 
 @dataclass(frozen=True)
 class Turns:
-    """The rounds of a record; none where nobody has left."""
+    """The rounds of a record; none where nobody has left or come late."""
 
     by_reading: dict[bytes, Closing] = field(default_factory=dict)  # by the frames of the closing reading
-    departures: tuple[Entry, ...] = ()  # the first that says of each vehicle that it has left
+    # Of each vehicle what says most of how late it came, and then the first that says that it has left.
+    roll: tuple[Entry, ...] = ()
     _by_said: dict[Said, Closing] = field(default_factory=dict)
     _by_step: dict[int, Closing] = field(default_factory=dict)
     _others: dict[bytes, frozenset[Said]] = field(default_factory=dict)  # the other readings of its round
@@ -42,6 +43,7 @@ class Turns:
     def of(cls, entries: Iterable[Entry]) -> "Turns":
         """Return those of a record."""
         entries = list(entries)
+        late: dict[int, tuple[int, Entry]] = {}
         departures: dict[int, Entry] = {}
         beliefs: dict[int, Belief] = {}
         for entry in entries:
@@ -49,13 +51,18 @@ class Turns:
                 if entry.key == DEPARTURE.name:
                     left = msgspec.json.decode(entry.payload, type=Departure)
                     departures.setdefault(left.vehicle, entry)
+                elif entry.key == LATECOMER.name:
+                    said = msgspec.json.decode(entry.payload, type=Latecomer)
+                    if said.says > late.get(said.vehicle, (-1, entry))[0]:
+                        late[said.vehicle] = said.says, entry
                 elif entry.key == BELIEF.name:
                     belief = msgspec.json.decode(entry.payload, type=Belief)
                     beliefs.setdefault(belief.step, belief)
-        if not departures:
+        roll = *(entry for _, entry in late.values()), *departures.values()
+        if not roll:
             return cls()
-        turns = cls(departures=tuple(departures.values()))
-        readings = {said: entry for entry in entries if (said := said_by(entry))}
+        turns = cls(roll=roll)
+        readings = {by: entry for entry in entries if (by := said_by(entry))}
         latest = -1
         for step, belief in sorted(beliefs.items()):
             each = [(one.system, one.time_boot_ms) for one in belief.readings or ()]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from link.access.roles import AGENT, BRIDGE, ESTIMATOR, EVERYBODY, OPERATOR, PAYLOAD, ROS2, VEHICLE
-from link.bus.messages import Belief, Departure, Health, LeaveOut, Stop
+from link.bus.messages import Belief, Departure, Health, Join, Latecomer, LeaveOut, Stop
 
 FRAMES = "MAVLink 2 frames"
 OF_VEHICLE = "uav/"  # the keys of a vehicle of a search begin with it, and with the vehicle's number
@@ -189,10 +189,36 @@ LEAVE_OUT = Key(
     "estimator",
     Delivery(blocking=True, express=True, kept=8),
     "as they come",
-    "In a search by several only: an order to let a vehicle leave it. The estimator answers with its "
-    "departure.",
+    "In a search by several only: an order to let a vehicle leave it, or to begin without one that comes "
+    "late. The estimator answers with its departure, or that it comes late.",
     writers=(OPERATOR,),
     readers=(ESTIMATOR,),
+)
+JOIN = Key(
+    "join",
+    Join,
+    "vehicle",
+    "estimator",
+    Delivery(blocking=True, express=True),
+    "4 per second until it takes part",
+    "In a search by several only: a vehicle that comes late asks for its part in it. The estimator answers "
+    "that it comes late: first where it takes off, then the round from which on it takes part.",
+    writers=(VEHICLE,),
+    readers=(ESTIMATOR,),
+    own=True,
+)
+LATECOMER = Key(
+    "latecomer",
+    Latecomer,
+    "estimator",
+    "all",
+    Delivery(blocking=True, express=True, kept=24),
+    "3 per vehicle that comes late",
+    "In a search by several only: a vehicle comes late. The others begin without it, keep clear of where it "
+    "takes off, and wait for it from its round on. The agent says it again on the same key, so that an "
+    "estimator that starts again learns of it.",
+    writers=(ESTIMATOR, AGENT),
+    readers=(ESTIMATOR, AGENT, VEHICLE),
 )
 HEALTH = Key(
     "health/<service>",
@@ -208,7 +234,7 @@ HEALTH = Key(
 
 KEYS = (
     *(MAVLINK_OUT, MAVLINK_IN, WAYPOINT, READING, PAYLOAD_IN, PAYLOAD_OUT),
-    *(BELIEF, STOP, DEPARTURE, LEAVE_OUT, HEALTH),
+    *(BELIEF, STOP, DEPARTURE, LEAVE_OUT, JOIN, LATECOMER, HEALTH),
 )
 
 SEARCHERS = frozenset({"estimator", "agent"})  # the search begins when these services have joined the bus

@@ -41,11 +41,18 @@ class RoundReading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LeftAt(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where a vehicle has read that has left a search by several. The others keep clear of both places."""
+    """Where a vehicle may be that takes no part in a search by several: it has left, or is about to join.
+
+    The others keep clear of both places.
+    """
 
     vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle in the search, from 1")]
-    first: Annotated[Pair, Meta(description="where it read first, (x, y) m: it may land there")]
-    last: Annotated[Pair, Meta(description="where it read last, (x, y) m: it may hover near it")]
+    first: Annotated[
+        Pair, Meta(description="where it read first, (x, y) m: it may land there; or where it takes off")
+    ]
+    last: Annotated[
+        Pair, Meta(description="where it read last, (x, y) m: it may hover near it; or where it takes off")
+    ]
 
 
 class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -169,8 +176,8 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     left_at: Annotated[
         tuple[LeftAt, ...] | msgspec.UnsetType,
         Meta(
-            description="of a search by several vehicles: where those that have left have read; absent if "
-            "there are none"
+            description="of a search by several vehicles: where those that have left have read, and where "
+            "those take off that are about to join; absent if there are none"
         ),
     ] = msgspec.UNSET
 
@@ -215,8 +222,8 @@ class Departure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Meta(
             ge=0,
             le=MOST,
-            description="the first round that it takes no part in; equals the number of its readings that "
-            "count",
+            description="the first round that it takes no part in; unless it has joined late, that is the "
+            "number of its readings that count",
         ),
     ]
     reason: Annotated[str, Meta(description="why, in words")]
@@ -234,6 +241,42 @@ class LeaveOut(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle in the search, from 1")]
     reason: Annotated[str, Meta(max_length=200, description="who orders it, or why, in words")]
+    late: Annotated[
+        bool,
+        Meta(description="true if it has not come yet: the others begin without it, and it may join later"),
+    ] = False
+
+
+class Join(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A vehicle that comes late asks for its part in a search by several; said until it has it."""
+
+    place: Annotated[Pair, Meta(description="where it stands and takes off, (x, y) m: wanted clear")]
+    clear: Annotated[
+        bool,
+        Meta(description="true once the others are clear of it: it takes off as soon as it has its round"),
+    ] = False
+
+
+class Latecomer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A vehicle comes late to a search by several. Of those about one the one that says most holds."""
+
+    vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle in the search, from 1")]
+    place: Annotated[
+        Pair | msgspec.UnsetType,
+        Meta(description="where it takes off, (x, y) m; absent: it has not come, and is not waited for"),
+    ] = msgspec.UNSET
+    since: Annotated[
+        int, Meta(ge=0, le=MOST, description="the first round after which the others keep clear of it")
+    ] = 0
+    step: Annotated[
+        Annotated[int, Meta(ge=0, le=MOST)] | msgspec.UnsetType,
+        Meta(description="the first round that it takes part in; absent: it has none yet"),
+    ] = msgspec.UNSET
+
+    @property
+    def says(self) -> int:
+        """How much it says: 0 that it has not come, 1 where it takes off, 2 when it takes part."""
+        return (self.place is not msgspec.UNSET) + (self.step is not msgspec.UNSET)
 
 
 class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -308,6 +351,14 @@ def departure_text(left: Departure) -> str:
     """Return a departure in words."""
     forgotten = "; its readings no longer count" if left.forgotten and left.step else ""
     return f"uav/{left.vehicle} has left the search at step {left.step}: {left.reason}{forgotten}"
+
+
+def latecomer_text(late: Latecomer) -> str:
+    """Return in words how far a latecomer has come."""
+    if late.step is not msgspec.UNSET:
+        return f"uav/{late.vehicle} joins the search at step {late.step}"
+    asks = late.place is not msgspec.UNSET
+    return f"uav/{late.vehicle} {'asks to join the search' if asks else 'comes late: the others begin'}"
 
 
 def stop_text(stop: Stop) -> str:

@@ -25,6 +25,7 @@ from link.bus.keys import (
     DEPARTURE,
     HEALTH,
     KEYS,
+    LATECOMER,
     MAVLINK_IN,
     MAVLINK_OUT,
     READING,
@@ -34,7 +35,7 @@ from link.bus.keys import (
     vehicle_of,
 )
 from link.bus.mavlink import ONBOARD_COMPUTER, continued
-from link.bus.messages import Departure
+from link.bus.messages import Departure, Latecomer
 from link.record.own import OwnSystem
 
 # Name of the metadata record that describes the run. If recording stops early, a second such record gives
@@ -147,10 +148,12 @@ class SimulationClock:
         self._of: dict[str, SimulationClock] = {}  # of each vehicle, by its number
         self._own = OwnSystem()
         self._newest_ms = 0
+        self._late_s = 0.0  # of a vehicle that comes late: the time of the others when it was first heard
         self._newest_published_ns = 0
         self._readings: dict[int, int] = {}  # the times of the last MOST_READINGS by their time_boot_ms
         self._count = 0
         self._left: set[str] = set()  # the numbers of those that have left a search of several
+        self._late: dict[str, int | None] = {}  # the first round of those that come late; None: none yet
 
     def time_s(self, key: str, payload: bytes, published_ns: int) -> float:
         """Return the simulation time of a message, s.
@@ -159,13 +162,14 @@ class SimulationClock:
         vehicle.
         """
         if number := vehicle_of(key):
-            clock = self._of.setdefault(number, SimulationClock())
-            return clock.time_s(row_name(key), payload, published_ns)
-        if key == DEPARTURE.name:
+            clock = self._of.get(number) or self._of.setdefault(number, self._begun(number))
+            return clock.time_s(row_name(key), payload, published_ns) + clock._late_s
+        if key in (DEPARTURE.name, LATECOMER.name):
             with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-                self._left.add(str(msgspec.json.decode(payload, type=Departure).vehicle))
+                self._call_the_roll(key, payload)
         if self._of:
-            return self._of[self._whose(key, payload)].time_s(key, payload, published_ns)
+            clock = self._of[self._whose(key, payload)]
+            return clock.time_s(key, payload, published_ns) + clock._late_s
         own: int | None = None
         self._own.learn(key, payload)
         if key in (BELIEF.name, STOP.name):
@@ -183,14 +187,34 @@ class SimulationClock:
                 self._newest_ms, self._newest_published_ns = own, published_ns
         return (self._newest_ms if own is None else own) / 1000.0
 
+    def _begun(self, number: str) -> "SimulationClock":
+        """Return the clock of a vehicle heard first. That of a latecomer begins at the others' time."""
+        clock = SimulationClock()
+        if number in self._late:
+            clock._late_s = max(
+                (each._newest_ms / 1000.0 + each._late_s for each in self._of.values()), default=0.0
+            )
+        return clock
+
+    def _call_the_roll(self, key: str, payload: bytes) -> None:
+        """Take who has left a search by several, and who comes late. Raises DecodeError."""
+        if key == DEPARTURE.name:
+            self._left.add(str(msgspec.json.decode(payload, type=Departure).vehicle))
+            return
+        late = msgspec.json.decode(payload, type=Latecomer)
+        if late.step is not msgspec.UNSET:
+            self._late[str(late.vehicle)] = late.step
+        else:
+            self._late.setdefault(str(late.vehicle), None)
+
     def _whose(self, key: str, payload: bytes) -> str:
         """Return whose clock a message of a search goes by that is nobody's own: the number of a vehicle.
 
         An answer goes by that of its round's first or last reading. The first or last vehicle may have
-        left.
+        left, or come late.
         """
         order = sorted(self._of, key=int, reverse=key != WAYPOINT.name)
-        if not self._left:
+        if not (self._left or self._late):
             return order[0]
         answered: int | None = None
         if key == WAYPOINT.name:
@@ -219,7 +243,11 @@ class SimulationClock:
     @property
     def step(self) -> int:
         """Number of the newest reading, 0 at the start, -1 before it; of several that of the last to read."""
-        searching = [clock.step for number, clock in self._of.items() if number not in self._left]
+        searching = [
+            clock.step + begin
+            for number, clock in self._of.items()
+            if number not in self._left and (begin := self._late.get(number, 0)) is not None
+        ]
         return min(searching, default=self._count - 1)
 
 

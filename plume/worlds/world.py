@@ -117,6 +117,11 @@ class World:
             self.truth = msgspec.structs.replace(self.truth, source=(x, y))
         return chosen.air(self.truth, self.seed)
 
+    @property
+    def is_steady(self) -> bool:
+        """Whether what is measured at a place does not depend on the time, but for its noise."""
+        return self._steady is not None and not isinstance(self.sensor, Instrument)
+
     def of_vehicle(self, vehicle: int) -> "World":
         """Return this world as another vehicle of a fleet measures it; the first one's is this.
 

@@ -13,6 +13,7 @@ from link.bus.frames import Frame
 from link.bus.keys import (
     BELIEF,
     DEPARTURE,
+    LATECOMER,
     MAVLINK_OUT,
     OF_VEHICLE,
     READING,
@@ -26,10 +27,12 @@ from link.bus.messages import (
     Belief,
     Departure,
     Health,
+    Latecomer,
     Particles,
     Stop,
     by_number,
     departure_text,
+    latecomer_text,
     unpack_particles,
 )
 from link.cli import MOST_VEHICLES
@@ -114,6 +117,7 @@ class History:
         self._stop = self._assume = ""
         self._gauge: Gauge | None = None
         self._left: set[int] = set()  # vehicles that have left a search by several
+        self._late: dict[int, int] = {}  # of those that join it late, how much has been said of each
         self._forget_way()
 
     def _forget_way(self) -> None:
@@ -172,11 +176,13 @@ class History:
                     seen = by_number(msgspec.json.decode(payload, type=Belief))
                     self._round = tuple(seen)
                     own = seen.get(self._number) or self._stayed(seen)
-                    return self._take_belief(own, attachment, time_s)
+                    return own is not None and self._take_belief(own, attachment, time_s)
                 case STOP.name:
                     return self._take_stop(msgspec.json.decode(payload, type=Stop), time_s)
                 case DEPARTURE.name:
                     return self._take_departure(msgspec.json.decode(payload, type=Departure))
+                case LATECOMER.name:
+                    return self._take_latecomer(msgspec.json.decode(payload, type=Latecomer))
                 case WAYPOINT.name:
                     places = [place for _, said in frames(payload, {SETPOINT}) if (place := waypoint(said))]
                     at = self._round.index(self._number) if self._number in self._round else len(places)
@@ -196,13 +202,23 @@ class History:
         self._happened(self.time_s, WARNING, "estimator", departure_text(said))
         return True
 
-    def _stayed(self, seen: dict[int, Belief]) -> Belief:
-        """Return a round's belief for a vehicle that has left: it stays where it has read last."""
-        others = next(iter(seen.values()))
+    def _take_latecomer(self, said: Latecomer) -> bool:
+        """Take how far a vehicle that comes late has come: the estimator says it, and the agent again."""
+        if said.says <= self._late.get(said.vehicle, -1):
+            return False
+        self._late[said.vehicle] = said.says
+        self._happened(self.time_s, INFO, "estimator", latecomer_text(said))
+        return True
+
+    def _stayed(self, seen: dict[int, Belief]) -> Belief | None:
+        """Return a round's belief for a vehicle that has left: it stays where it has read last.
+
+        None of one that has not read.
+        """
         last = self.measurements.at()
-        return (
-            others if last is None else msgspec.structs.replace(others, position=last.position, gas=last.gas)
-        )
+        if last is None:
+            return None
+        return msgspec.structs.replace(next(iter(seen.values())), position=last.position, gas=last.gas)
 
     def lives(self, service: str, alive: bool, wall_s: float) -> None:
         """Take that a part appeared on the bus or is gone."""

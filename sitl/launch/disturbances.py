@@ -1,4 +1,4 @@
-"""What a script does to processes and links, and what it orders: kills, restarts, cuts, who is left out.
+"""What a script does to processes and links, and what it orders: kills, restarts, cuts, who leaves and joins.
 
 Delays are real time: the speed-up does not apply to processes.
 """
@@ -10,7 +10,7 @@ from operator import itemgetter
 from sitl.launch.processes import Processes
 from sitl.launch.relay import Relay
 from sitl.launch.watchdog import Watchdog
-from sitl.script.script import Cut, Exclude, Kill
+from sitl.script.script import Cut, Exclude, Kill, Late
 
 
 class Disturbances:
@@ -24,10 +24,14 @@ class Disturbances:
         watchdog: Watchdog,
         say: Callable[[str], None],
         leave_out: Callable[[int, str], None],
+        start: Callable[[int], None],
     ) -> None:
-        """Take what does it all. leave_out: orders that a vehicle leaves the search, with who says so."""
-        self._to_come = [event for event in events if isinstance(event, Kill | Cut | Exclude)]
-        self._leave_out = leave_out
+        """Take what does it all.
+
+        leave_out: orders that a vehicle leaves the search, with who says so.  start: starts one that joins.
+        """
+        self._to_come = [event for event in events if isinstance(event, Kill | Cut | Exclude | Late)]
+        self._leave_out, self._start = leave_out, start
         self._processes = processes
         self._relays = relays
         self._watchdog = watchdog
@@ -41,6 +45,11 @@ class Disturbances:
             if isinstance(event, Exclude):
                 self._say(f"script: uav/{event.vehicle} is left out at step {step}")
                 self._leave_out(event.vehicle, "left out by the script")
+                continue
+            if isinstance(event, Late):
+                self._say(f"script: uav/{event.vehicle} is started at step {step}")
+                self._start(event.vehicle)
+                self._watchdog.joins(f"uav/{event.vehicle}", time.monotonic())
                 continue
             self._watchdog.disturb(event.part)
             if isinstance(event, Kill):
@@ -71,7 +80,7 @@ class Disturbances:
         return max(self._mends[0][0] - time.monotonic(), 0.0) if self._mends else None
 
 
-def _due(event: Kill | Cut | Exclude, step: int, time_s: float) -> bool:
+def _due(event: Kill | Cut | Exclude | Late, step: int, time_s: float) -> bool:
     if event.step is not None:
         return step >= event.step
     return event.time_s is not None and time_s >= event.time_s

@@ -5,14 +5,25 @@ import math
 import re
 import time
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping
+from types import MappingProxyType
 
 import msgspec
 
 from aircraft.operator import AUTOPILOT
-from link.bus.keys import BELIEF, DEPARTURE, HEALTH, MAVLINK_OUT, OF_VEHICLE, READING, SEARCHERS, STOP
+from link.bus.keys import (
+    BELIEF,
+    DEPARTURE,
+    HEALTH,
+    LATECOMER,
+    MAVLINK_OUT,
+    OF_VEHICLE,
+    READING,
+    SEARCHERS,
+    STOP,
+)
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
-from link.bus.messages import Belief, Departure, Health, Stop, by_number, unpack_particles
+from link.bus.messages import Belief, Departure, Health, Latecomer, Stop, by_number, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange, part_of
 from plume.outcome import LastWord, Left, TracePoint, interval
 from scene.follow.area import PLACING, AreaFrame
@@ -74,16 +85,21 @@ def await_services(bus: Bus, namespace: str, vehicles: int, say: Callable[[str],
 class VehicleHeard:
     """What has been heard of one vehicle."""
 
-    def __init__(self, system: int | None, number: int | None) -> None:
-        """Take its MAVLink system id, if that is known, and its number in a search of several."""
-        self.number = number
+    def __init__(
+        self, system: int | None, number: int | None, stand: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
+        """Take its MAVLink system id, if that is known, and its number in a search of several.
+
+        stand: where it takes off, (x, y) m from home.
+        """
+        self.number, self._stand = number, stand
         self.part = "uav" if number is None else f"uav/{number}"
         self.called = "vehicle" if number is None else self.part
         self.health: Health | None = None  # the newest
         self.trace = HeardTrace()
         self.landed_since_s = math.inf  # when it was first heard to have landed
         self.ended = ""  # how its process has ended, if it has
-        # (north, east) m of home, where it stands; followed once MAVLINK_OUT is subscribed.
+        # (x, y) m from home, where it stands; followed once MAVLINK_OUT is subscribed.
         self.landed_at: tuple[float, float] | None = None
         self._system = system or 0
         self._area = AreaFrame()
@@ -110,8 +126,9 @@ class VehicleHeard:
 
     @property
     def at_home(self) -> bool:
-        """Whether it has landed at home."""
-        return self.landed and self.landed_at is not None and math.hypot(*self.landed_at) < AT_HOME_M
+        """Whether it has landed where it took off."""
+        there = self.landed_at if self.landed else None
+        return there is not None and math.dist(there, self._stand) < AT_HOME_M
 
     @property
     def home(self) -> tuple[float, float] | None:
@@ -141,12 +158,24 @@ class VehicleHeard:
 class MissionHeard:
     """What has been heard of a mission so far."""
 
-    def __init__(self, bus: Bus, system: int | None, numbers: Sequence[int] = ()) -> None:
-        """Take the first vehicle's MAVLink system id, and the numbers of several that search together."""
+    def __init__(
+        self,
+        bus: Bus,
+        system: int | None,
+        stands: Mapping[int, tuple[float, float]] = MappingProxyType({}),
+        late: Collection[int] = (),
+    ) -> None:
+        """Take the first vehicle's MAVLink system id.
+
+        stands: of several that search together, by number, where they take off, (x, y) m from home.  late:
+        those of them that join when the others have begun.
+        """
         self._bus = bus
         self.vehicles = [VehicleHeard(system, None)]
-        if numbers:
-            self.vehicles = [VehicleHeard(system and system + k, number) for k, number in enumerate(numbers)]
+        if stands:
+            self.vehicles = [
+                VehicleHeard(system and system + k, *each) for k, each in enumerate(stands.items())
+            ]
         self.health: dict[str, Health] = {}  # the newest health of each part
         self.last: Belief | None = None  # the belief of the greatest step
         self._particles = b""  # of that belief
@@ -156,14 +185,18 @@ class MissionHeard:
         self.left: dict[
             int, Departure
         ] = {}  # who has left the search, by number, in the order in which they did
+        self.joined: dict[int, int] = {}  # the first round of each that has joined late, in their order
+        self._awaited = {*late}  # those that come late and have no round yet
         self.doubted: dict[int, int] = {}  # the step at which a vehicle was named whose sensor seemed to lie
 
-    def take(self, arrival: Arrival, now_s: float) -> Belief | Health | Departure | None:
+    def take(self, arrival: Arrival, now_s: float) -> Belief | Health | Departure | Latecomer | None:
         """Take a message.
 
-        Returns the health that it is, the belief that goes beyond the last one, or the first departure of a
-        vehicle.
+        Returns the health that it is, the belief that goes beyond the last one, the first departure of a
+        vehicle, or its first round if it comes late.
         """
+        if arrival.key is LATECOMER:
+            return self._latecomer(self._bus.decode(arrival, Latecomer))
         if arrival.key is DEPARTURE:
             return self._departure(self._bus.decode(arrival, Departure))
         if arrival.key is STOP:
@@ -188,10 +221,27 @@ class MissionHeard:
         self.left[left.vehicle] = left
         return left
 
+    def _latecomer(self, late: Latecomer | None) -> Latecomer | None:
+        if late is None or late.vehicle > len(self.vehicles) or late.vehicle in self.joined:
+            return None
+        if late.step is msgspec.UNSET:
+            self._awaited.add(late.vehicle)
+            return None
+        self._awaited.discard(late.vehicle)
+        self.joined[late.vehicle] = late.step
+        self.vehicles[late.vehicle - 1].trace.begins(late.step)
+        return late
+
+    @property
+    def flown(self) -> "list[VehicleHeard]":
+        """The vehicles that take part in the search, or have."""
+        return [vehicle for number, vehicle in enumerate(self.vehicles, 1) if number not in self._awaited]
+
     @property
     def searching(self) -> "list[VehicleHeard]":
-        """The vehicles that have not left the search."""
-        return [vehicle for number, vehicle in enumerate(self.vehicles, 1) if number not in self.left]
+        """The vehicles that take part in the search."""
+        away = self.left.keys() | self._awaited
+        return [vehicle for number, vehicle in enumerate(self.vehicles, 1) if number not in away]
 
     @property
     def departures(self) -> list[Left]:
@@ -226,11 +276,12 @@ class MissionHeard:
         if None in traces:
             return None
         whole = [trace for trace in traces if trace is not None]
+        begins = [self.joined.get(number, 0) for number in range(1, len(whole) + 1)]
         return [
-            msgspec.structs.replace(trace[step], vehicle=number)
-            for step in range(max(map(len, whole)))
-            for number, trace in enumerate(whole, 1)
-            if step < len(trace)
+            msgspec.structs.replace(trace[step - begin], vehicle=number)
+            for step in range(max(begin + len(trace) for begin, trace in zip(begins, whole, strict=True)))
+            for number, (begin, trace) in enumerate(zip(begins, whole, strict=True), 1)
+            if begin <= step < begin + len(trace)
         ]
 
     def _health(self, arrival: Arrival, now_s: float) -> Health | None:
@@ -285,7 +336,12 @@ class HeardTrace:
         self._near_ms: int | None = None
         # The readings whose beliefs are not all known, by time.
         self.kept: dict[int, tuple[tuple[float, float], float]] = {}
-        self._whole_to = -1
+        self._begin, self._whole_to = 0, -1
+
+    def begins(self, step: int) -> None:
+        """Take that the first step is another than 0."""
+        self._begin, self._whole_to = step, step - 1
+        self._times = {step - 1: -math.inf}
 
     def reading(self, payload: bytes, system: int | None) -> None:
         """Take a reading of a system, or with None of any.
@@ -330,7 +386,7 @@ class HeardTrace:
     @property
     def missing(self) -> int:
         """How many beliefs before the last one have not come."""
-        return max(self._points, default=-1) + 1 - len(self._points)
+        return max(self._points, default=self._begin - 1) + 1 - self._begin - len(self._points)
 
     def points(self) -> list[TracePoint] | None:
         """Return the trace; None if it has gaps.
@@ -342,9 +398,9 @@ class HeardTrace:
         trace: list[TracePoint] = []
         times = sorted(self.kept)
         for step in sorted(self._points):
-            if lost := step - len(trace):
+            if lost := step - (next_step := self._begin + len(trace)):
                 between = times[
-                    bisect_right(times, self._times[len(trace) - 1]) : bisect_left(times, self._times[step])
+                    bisect_right(times, self._times[next_step - 1]) : bisect_left(times, self._times[step])
                 ]
                 if len(between) != lost:
                     return None

@@ -17,6 +17,7 @@ from link.bus.keys import (
     BELIEF,
     DEPARTURE,
     HEALTH,
+    LATECOMER,
     LEAVE_OUT,
     MAVLINK_IN,
     MAVLINK_OUT,
@@ -26,7 +27,15 @@ from link.bus.keys import (
 )
 from link.bus.log import LEVELS
 from link.bus.mavlink import Codec
-from link.bus.messages import Belief, Departure, Health, LeaveOut, departure_text
+from link.bus.messages import (
+    Belief,
+    Departure,
+    Health,
+    Latecomer,
+    LeaveOut,
+    departure_text,
+    latecomer_text,
+)
 from link.bus.session import Arrival, Bus, LivelinessChange, part_of
 from link.cli import BAD_INPUT
 from link.early import INTERRUPTED
@@ -111,7 +120,7 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
                     vehicles=mission.numbers,
                 )
             )
-            together = [DEPARTURE] * bool(mission.numbers)
+            together = [DEPARTURE, LATECOMER] if mission.numbers else []
             bus.subscribe(READING, BELIEF, STOP, HEALTH, *together, *[MAVLINK_OUT] * bool(mission.real))
             return bus
 
@@ -127,8 +136,11 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
             bus = join(endpoint)
         for relay in relays.values():
             stack.callback(relay.close)
+        for vehicle in mission.late:
+            bus.publish(LEAVE_OUT, LeaveOut(vehicle, "joins later", late=True))
+        uavs_at_first = [uav for number, uav in enumerate(mission.uavs, 1) if number not in mission.late]
         watchdog = Watchdog(
-            [ROUTER, *mission.uavs, *SEARCHERS, *payload, *[RECORDER] * bool(mission.record)],
+            [ROUTER, *uavs_at_first, *SEARCHERS, *payload, *[RECORDER] * bool(mission.record)],
             mission.patience_s,
             time.monotonic(),
             progress.say,
@@ -141,6 +153,7 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
             watchdog,
             progress.say,
             lambda vehicle, why: bus.publish(LEAVE_OUT, LeaveOut(vehicle, why)),
+            lambda vehicle: start_uav(processes, mission, endpoint, mission.uavs[vehicle - 1]),
         )
         return MissionWatch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()
 
@@ -161,13 +174,11 @@ def start_parts(
     script, real = mission.script, mission.real
     connect, secured = mission.connect, secure_words(mission.secure)
     endpoint = connect or processes.start_router(mission.listen, mission.secure)
-    level = "debug" if mission.log_level == "debug" else "info"  # the launcher filters what it shows
     for part in sorted({event.part for event in script.events if isinstance(event, Cut)}):
         relays[part] = Relay(endpoint)
 
     def joining(part: str) -> tuple[str, ...]:
-        router = relays[part].endpoint if part in relays else endpoint
-        return "--connect", router, "--namespace", mission.namespace, "--log-level", level, *secured
+        return joining_words(mission, relays[part].endpoint if part in relays else endpoint)
 
     services = (
         {} if connect else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
@@ -207,10 +218,24 @@ def start_parts(
             number = payload.partition("/")[2]
             own = ("--number", number) if number else ()
             processes.start(payload, "sitl", "payload", *measures, *joining(payload), *own)
-    for uav, arguments in uav_arguments(mission).items():
-        kind = FLYING if uav in mission.real_uavs else None
-        processes.start(uav, "sitl", "uav", *arguments, *joining(uav), kind=kind)
+    for vehicle, uav in enumerate(mission.uavs, 1):
+        if vehicle not in mission.late:
+            start_uav(processes, mission, relays[uav].endpoint if uav in relays else endpoint, uav)
     return endpoint
+
+
+def joining_words(mission: Launch, router: str) -> tuple[str, ...]:
+    """Return the flags with which a part joins the bus at a router's endpoint."""
+    level = "debug" if mission.log_level == "debug" else "info"  # the launcher filters what it shows
+    secured = secure_words(mission.secure)
+    return "--connect", router, "--namespace", mission.namespace, "--log-level", level, *secured
+
+
+def start_uav(processes: Processes, mission: Launch, router: str, uav: str) -> None:
+    """Start a part that flies, which joins the bus at a router's endpoint."""
+    kind = FLYING if uav in mission.real_uavs else None
+    words = "sitl", "uav", *uav_arguments(mission)[uav], *joining_words(mission, router)
+    processes.start(uav, *words, kind=kind)
 
 
 class MissionWatch:
@@ -233,7 +258,7 @@ class MissionWatch:
         self._disturbances = disturbances
         self._endpoint = endpoint
         self._files = files
-        self._heard = MissionHeard(bus, mission.system, mission.numbers)
+        self._heard = MissionHeard(bus, mission.system, mission.stands, mission.late)
         self._began_at, self._look_at = time.monotonic(), 0.0
         self._last_words: dict[str, str] = {}
         # Services elsewhere that have left the bus, and parts without which the mission goes on.
@@ -264,7 +289,7 @@ class MissionWatch:
                 self._disturbances.reached(heard.last.step, self._time_s(heard.last.step))
             flying = [vehicle for vehicle in heard.searching if vehicle.flies]
             last_landed_s = max(
-                (vehicle.landed_since_s for vehicle in heard.vehicles if vehicle.landed), default=-math.inf
+                (vehicle.landed_since_s for vehicle in heard.flown if vehicle.landed), default=-math.inf
             )
             if not (heard.stopped or flying) and time.monotonic() >= last_landed_s + LATE_STOP_S:
                 break
@@ -376,6 +401,8 @@ class MissionWatch:
                         self._watchdog.heard(part_of(item.name), now_s)
                     case Departure() as left:
                         self._progress.say(f"warning: {departure_text(left)}")
+                    case Latecomer() as late if late.step is not msgspec.UNSET:
+                        self._progress.say(latecomer_text(late))
                     case Belief() as belief:
                         if is_first:
                             self._introduce()
@@ -433,7 +460,7 @@ class MissionWatch:
             home and not self._mission.real
         ):  # a real vehicle's is heard from the beginning: it says where home is
             self._bus.subscribe(MAVLINK_OUT)  # where it has landed
-        flying = [vehicle for vehicle in heard.vehicles if not vehicle.ended]
+        flying = [vehicle for vehicle in heard.flown if not vehicle.ended]
         if flying:  # as fast as possible they may have landed meanwhile: it is said all the same
             self._progress.say("returning home" if after == "return" else "landing")
         codec, call_at, lost_at = Codec(*LAUNCHER_IDS), 0.0, math.inf
@@ -507,6 +534,7 @@ class MissionWatch:
             home=self._mission.origin or (heard.home if self._mission.real else self._mission.home),
             left=heard.departures,
             doubted=heard.doubted,
+            joined=heard.joined,
         )
         located = bool(result.located)
         came_true = {
@@ -517,7 +545,7 @@ class MissionWatch:
             "outside": result.outside,
             "false stop": result.ceased and not located and not result.outside,
             "warned": heard.warned,
-            "landed": all(vehicle.landed for vehicle in heard.vehicles),
-            "returned home": all(vehicle.at_home for vehicle in heard.vehicles),
+            "landed": all(vehicle.landed for vehicle in heard.flown),
+            "returned home": all(vehicle.at_home for vehicle in heard.flown),
         }
         return Flown(script, result, points, {each: came_true[each] for each in script.expectations})

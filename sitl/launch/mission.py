@@ -24,11 +24,12 @@ from sitl.script.script import (
     Exclude,
     Expectation,
     Kill,
+    Late,
     Lawnmower,
     Script,
     Waypoints,
 )
-from sitl.uav.options import at_own_home, longest_wait_s
+from sitl.uav.options import LATE_IN_A_MOVING_WORLD, at_own_home, longest_wait_s
 
 # Expectations that need the source's true position.
 TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})
@@ -90,6 +91,18 @@ class Launch:
     def uavs(self) -> list[str]:
         """The names of the parts that fly: `uav`, or `uav/1`, `uav/2` and so on."""
         return [f"uav/{number}" for number in self.numbers] or ["uav"]
+
+    @property
+    def stands(self) -> dict[int, tuple[float, float]]:
+        """Where each of several takes off, (x, y) m from home, by its number; a real one at its own home."""
+        world, real = self.script.simulated(), len(self.real_uavs)
+        starts = self.fleet.starts(world.start, world.seed, world.problem.ground)
+        return {number: (0.0, 0.0) if number <= real else starts[number - 1] for number in self.numbers}
+
+    @property
+    def late(self) -> Sequence[int]:
+        """The numbers of those that the script starts when the others have begun."""
+        return [event.vehicle for event in self.script.events if isinstance(event, Late)]
 
     @property
     def real_uavs(self) -> dict[str, str]:
@@ -247,16 +260,17 @@ def check_fleet(
     given: the flags that stand on the command line.  origin: of the area, latitude and longitude, degrees.
     """
     for number, event in enumerate(script.events):
-        if fleet.vehicles == 1 and isinstance(event, Exclude):
+        if fleet.vehicles == 1 and isinstance(event, Exclude | Late):
             raise BadInput(
-                f"MISSION: events[{number}], leave-out, cannot happen: one vehicle flies; wanted "
-                "--vehicles, or fleet.vehicles, of 2 or more"
+                f"MISSION: events[{number}], {event.__struct_config__.tag}, cannot happen: one vehicle "
+                "flies; wanted --vehicles, or fleet.vehicles, of 2 or more"
             )
-        if isinstance(event, OfVehicle | Exclude) and event.vehicle and event.vehicle > fleet.vehicles:
+        if isinstance(event, OfVehicle | Exclude | Late) and event.vehicle and event.vehicle > fleet.vehicles:
             raise BadInput(
                 f"MISSION: events[{number}].vehicle: {event.vehicle} is not allowed; "
                 f"wanted 1 to {fleet.vehicles}, as many fly"
             )
+    _check_late(script, fleet, real=len(given.get("vehicle", ())))
     _check_real(fleet, given, origin)
     if fleet.vehicles == 1:
         return
@@ -266,6 +280,25 @@ def check_fleet(
             raise BadInput(f"--vehicles: events[{number}], {tag}, cannot happen: it is for one vehicle")
         if isinstance(event, Kill | Cut) and event.part == "uav":
             raise BadInput(f"--vehicles: events[{number}], {tag} uav, cannot happen: there are several")
+
+
+def _check_late(script: Script, fleet: Fleet, real: int) -> None:
+    """Raise BadInput if vehicles cannot join as the script says.
+
+    real: how many are real, the first ones.
+    """
+    late: set[int] = set()
+    for number, event in enumerate(script.events):
+        if not isinstance(event, Late):
+            continue
+        where = f"MISSION: events[{number}], join of vehicle {event.vehicle}, cannot happen"
+        if event.vehicle in late:
+            raise BadInput(f"{where} twice")
+        late.add(event.vehicle)
+        if len(late) == fleet.vehicles:
+            raise BadInput(f"{where}: nobody would begin; wanted one at least that does not join late")
+        if event.vehicle > real and not script.simulated().is_steady:
+            raise BadInput(f"{where}: {LATE_IN_A_MOVING_WORLD}")
 
 
 def _check_real(fleet: Fleet, given: Mapping[str, Any], origin: tuple[float, float] | None) -> None:

@@ -69,6 +69,10 @@ class Watchdog:
         known = self._parts.get(part)
         return known is not None and known.spared and now_s - known.since_s >= self._patience_s
 
+    def joins(self, part: str, now_s: float) -> None:
+        """Watch a part that has been started now; the mission goes on without it."""
+        self._parts[part] = _Watched(now_s, spared=True)
+
     def begins(self, part: str, now_s: float) -> None:
         """Note that a part was restarted: its first message may take a while."""
         if known := self._parts.get(part):

@@ -257,6 +257,12 @@ class Exclude(ScriptEvent, frozen=True, tag="leave-out"):
     ]
 
 
+class Late(ScriptEvent, frozen=True, tag="join"):
+    """A vehicle is started now, and joins the search that the others have begun without it."""
+
+    vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle, of several, that joins")]
+
+
 class Cut(ScriptEvent, frozen=True, tag="cut"):
     """The link between a part and the router carries nothing for a while; neither end is notified."""
 
@@ -303,7 +309,7 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ] = AS_MODELLED
     estimator: EstimatorPart = EstimatorPart()
     agent: AgentPart = AgentPart()
-    events: list[OnBoard | Waypoints | Lawnmower | Exclude | Kill | Cut] = []
+    events: list[OnBoard | Waypoints | Lawnmower | Exclude | Late | Kill | Cut] = []
     expect: Annotated[
         Expectation | list[Expectation],
         Meta(description="what must hold at the end; decides the exit status"),

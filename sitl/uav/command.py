@@ -10,7 +10,7 @@ from aircraft.payload.simulated import turned
 from aircraft.search.command import Orders, fly
 from aircraft.search.events import OnBoard, happens_to
 from aircraft.search.options import add_vehicle_url, parse_wind
-from aircraft.search.together import Berth
+from aircraft.together import Berth
 from link import cli
 from plume.problem import PAPER
 from plume.problems.fleet import ALONE, MOST_VEHICLES, Fleet

@@ -8,7 +8,7 @@ from typing import get_args
 
 from aircraft.bridge.address import parse_out
 from aircraft.search.search import AfterStop
-from aircraft.search.together import Berth
+from aircraft.together import Berth
 from link import cli
 from link.signing.key import read_key
 from plume.flight import TRY_AGAIN_S, leg_s
@@ -16,6 +16,9 @@ from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 from sitl.script.options import add_mission_arguments
 
+LATE_IN_A_MOVING_WORLD = (
+    "a simulated vehicle cannot join late where gas, wind or sensor change with time: it would not know it"
+)
 HOMES_APART_M = 40.0  # default homes lie so far apart that search areas do not overlap
 
 

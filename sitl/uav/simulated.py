@@ -14,10 +14,10 @@ from aircraft.payload.messages import Question
 from aircraft.payload.simulated import Simulated, turned
 from aircraft.search.command import Orders
 from aircraft.search.search import Search
-from aircraft.search.together import Together
 from aircraft.search.uav import Equipment, Handling, Uav
 from aircraft.search.udp import UdpPorts
 from aircraft.state import Arrived, Result, VehicleFailed, denied, not_now
+from aircraft.together import Berth, Together
 from link.bus.keys import MAVLINK_OUT
 from link.bus.mavlink import Codec, Message, unpack
 from link.bus.px4 import MissionCurrent
@@ -33,6 +33,7 @@ from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol
 from sitl.autopilot.setpoint import GLOBAL, LOCAL
 from sitl.autopilot.telemetry import Snapshot, Telemetry
 from sitl.autopilot.vehicle import Vehicle
+from sitl.uav.options import LATE_IN_A_MOVING_WORLD
 
 MODE_MESSAGES = {"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}
 SETPOINT_MESSAGES = {LOCAL, GLOBAL}
@@ -174,8 +175,11 @@ class SimulatedSensor(GasSensor):
     the vehicle waits for its agent: a mission then is the same on a slow machine.
     """
 
-    def __init__(self, world: World, vehicle: Vehicle, start: Place) -> None:
-        """Take where the search begins, (x, y) m."""
+    def __init__(
+        self, world: World, vehicle: Vehicle, start: Place, together: Together | None = None
+    ) -> None:
+        """Take where the search begins, (x, y) m, and the vehicles of one by several."""
+        super().__init__(together or Together())
         self.simulated, self._vehicle = Simulated(world), vehicle
         self.dwell_s = world.sensor.dwell
         self.wind = world.wind  # as last measured
@@ -218,28 +222,29 @@ class SharedSensor(SimulatedSensor):
     The world's time is that of their rounds.
     """
 
-    def __init__(self, world: World, vehicle: Vehicle, number: int, starts: Sequence[Place]) -> None:
-        """Take the world as vehicle 1 measures it, the number of this vehicle, and where all start."""
-        super().__init__(world.of_vehicle(number), vehicle, starts[number - 1])
-        self._together = Together(len(starts))
-        self.among, self.services = self._together.among, self._together.services
+    def __init__(
+        self,
+        world: World,
+        vehicle: Vehicle,
+        number: int,
+        starts: Sequence[Place],
+        berth: Berth | None = None,
+    ) -> None:
+        """Take the world as vehicle 1 measures it, this vehicle's number and place, and where all start."""
+        together = Together(len(starts), number, berth)
+        super().__init__(world.of_vehicle(number), vehicle, starts[number - 1], together)
         self._vehicle_number = number
         self._world = world
         self._rounds = RoundTime(world, starts, vehicle.config.speed_mps, vehicle.config.accel_mps2)
         self._rounds.go(starts)
 
-    def takes_part(self, step: int) -> int:
-        """Return how many vehicles take part in a round."""
-        return len(self._together.here(step))
-
     def go(self, places: Sequence[Place], step: int) -> None:
         """Learn where those of a round go next, by which the time goes on."""
-        self._rounds.go(places, self._together.here(step))
+        self._rounds.go(places, self.together.here(step))
 
-    def leaves(self, vehicle: int, step: int) -> None:
-        """Learn that a vehicle has left the search. It is not waited for."""
-        self._together.leaves(vehicle, step)
-        self.services = self._together.services
+    def latecomer(self) -> str:
+        """Return why its vehicle cannot join a search that has begun: it does not know the world's time."""
+        return "" if self._world.is_steady else LATE_IN_A_MOVING_WORLD
 
     def _now_s(self, place: Place, number: int) -> float:
         return self._rounds.time_s
@@ -262,7 +267,7 @@ def simulated_uav(
     starts = fleet.starts(world.start, world.seed, world.problem.ground)
     search = Search(vehicle, starts[number - 1], orders.after_stop, equipment.say)
     sensor = (
-        SharedSensor(world, vehicle, number, starts)
+        SharedSensor(world, vehicle, number, starts, orders.berth)
         if len(starts) > 1
         else SimulatedSensor(world, vehicle, starts[0])
     )

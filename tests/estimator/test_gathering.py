@@ -1,5 +1,5 @@
 """Protects the order of the readings of a search by several vehicles: by round, then by vehicle, whatever
-order they come in; and who takes part in a round, whenever it is heard that a vehicle has left.
+order they come in; and who takes part in a round, whenever it is heard that a vehicle has left or joins.
 """
 
 import itertools
@@ -12,9 +12,18 @@ from estimator import roll, service
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from estimator.roll import Attendance
-from link.bus.keys import BELIEF, DEPARTURE, HEALTH, LEAVE_OUT, READING
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH, JOIN, LATECOMER, LEAVE_OUT, READING
 from link.bus.mavlink import Codec, Reading, pack_reading
-from link.bus.messages import Belief, Departure, Health, LeaveOut, pack_particles
+from link.bus.messages import (
+    Belief,
+    Departure,
+    Health,
+    Join,
+    Latecomer,
+    LeaveOut,
+    LeftAt,
+    pack_particles,
+)
 from link.bus.session import Arrival, LivelinessChange
 from tests.fuzz.services import QuietBus, until_all_are_taken
 
@@ -310,3 +319,125 @@ def test_who_was_there_and_is_gone_is_not_waited_for_on_the_ground_without_end(
     bus = QuietBus(alive(1), alive(2), alive(2, False), *nothing)
     until_all_are_taken(lambda: service.run(bus, CONFIG, [None] * 3, 20.0))
     assert departures(bus) == [Departure(2, 0, "gone from the bus for 20 s")]  # the third may still come
+
+
+# ---- vehicles that come late ----
+
+STAND = (20.0, 25.0)
+
+
+def begin_without(vehicle: int) -> Arrival:
+    return Arrival(LEAVE_OUT, msgspec.json.encode(LeaveOut(vehicle, "comes later", late=True)), b"")
+
+
+def asks(vehicle: int, clear: bool = False, place: tuple[float, float] = STAND) -> Arrival:
+    return Arrival(JOIN, msgspec.json.encode(Join(place, clear)), b"", name=f"uav/{vehicle}/join")
+
+
+def latecomer(vehicle: int, place: tuple | None = None, since: int = 0, step: int | None = None) -> Latecomer:
+    unset = msgspec.UNSET
+    return Latecomer(vehicle, place or unset, since, unset if step is None else step)
+
+
+def latecomers(bus: QuietBus) -> list[Latecomer]:
+    return [
+        msgspec.json.decode(message, type=Latecomer) for key, message, _ in bus.published if key is LATECOMER
+    ]
+
+
+BY_TWO = [each for each in OF_THREE if each.vehicle < 3]  # four rounds of vehicles 1 and 2
+LATE = [arrival(3, 0), arrival(3, 1)]
+# Two rounds without it; then it asks, and after one more round it is clear and reads.
+JOINING = [begin_without(3), *BY_TWO[:4], asks(3), *BY_TWO[4:6], asks(3, clear=True), *BY_TWO[6:8], LATE[0]]
+
+
+def test_the_others_begin_without_one_that_comes_late_and_it_joins_them() -> None:
+    bus = estimated(3, *JOINING)
+    assert latecomers(bus) == [latecomer(3), latecomer(3, STAND, 2), latecomer(3, STAND, 2, 3)]
+    vehicles = [[taken.vehicle for taken in each.readings or ()] for each in said(bus)]
+    assert vehicles == [[1, 2], [1, 2], [1, 2], [1, 2, 3]]
+    assert [each.step for each in said(bus)] == [0, 1, 2, 3]
+    posterior = prior(CONFIG)
+    for number in range(4):
+        for vehicle in (1, 2):
+            posterior = assimilate(posterior, taken(vehicle, number), CONFIG)
+    posterior = assimilate(posterior, taken(3, 0), CONFIG)
+    assert said(bus)[-1].mean == belief(posterior, taken(3, 0), CONFIG)[0].mean
+
+
+def test_the_others_are_told_to_keep_clear_of_where_it_takes_off_until_it_reads() -> None:
+    away = [each.left_at for each in said(estimated(3, *JOINING))]
+    assert away == [msgspec.UNSET, msgspec.UNSET, (LeftAt(3, STAND, STAND),), msgspec.UNSET]
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        lambda told: [told, *BY_TWO, *LATE],  # first of all
+        lambda told: [told, LATE[0], *BY_TWO],  # all its readings before those of the others
+        lambda told: [begin_without(3), *BY_TWO[:2], told, *BY_TWO[2:], LATE[0]],
+    ],
+    ids=["first", "its readings first", "on the way"],
+)
+def test_when_it_is_heard_that_a_vehicle_joins_changes_nothing(order: Callable) -> None:
+    told = Arrival(LATECOMER, msgspec.json.encode(latecomer(3, STAND, 2, 3)), b"", name="latecomer")
+    beliefs = [each for each in estimated(3, *order(told)).published if each[0] is BELIEF]
+    assert beliefs == [each for each in estimated(3, *JOINING).published if each[0] is BELIEF]
+
+
+def test_it_may_only_take_off_after_a_belief_that_keeps_the_others_clear() -> None:
+    bus = estimated(3, begin_without(3), *BY_TWO[:2], asks(3), asks(3, clear=True), *BY_TWO[2:4])
+    assert latecomers(bus) == [latecomer(3), *[latecomer(3, STAND, 1)] * 2]  # asked again it is said again
+
+
+def test_a_reading_of_one_that_has_no_round_yet_is_refused() -> None:
+    bus = estimated(3, begin_without(3), *BY_TWO[:2], LATE[0], asks(3), LATE[0])
+    assert dict(bus.tally.refused) == {"late": 2}
+    assert bus.tally.last_error == "refused reading: uav/3 has no round yet"
+
+
+def test_one_that_joins_and_dies_leaves_from_the_round_that_waits_for_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ticks = itertools.count(0, 3)
+    monkeypatch.setattr(roll, "now_s", lambda: float(next(ticks)))
+    nothing = [Arrival(HEALTH, b"", b"", name="health/none")] * 20
+    bus = QuietBus(*JOINING[:-1], alive(3), alive(3, False), *nothing)
+    until_all_are_taken(lambda: service.run(bus, CONFIG, [None] * 3, 20.0))
+    assert departures(bus) == [Departure(3, 3, "gone from the bus for 20 s")]
+    assert [each.vehicle for each in said(bus)[-1].readings or ()] == [1, 2]
+    assert said(bus)[-1].step == 3
+
+
+def test_the_readings_of_a_latecomer_count_from_its_round_on_when_it_leaves() -> None:
+    left = departure(3, 4)
+    bus = estimated(3, *JOINING, left, *[arrival(vehicle, 4) for vehicle in (1, 2)], arrival(3, 1))
+    vehicles = [[taken.vehicle for taken in each.readings or ()] for each in said(bus)]
+    assert vehicles[3:] == [[1, 2, 3], [1, 2]]
+    assert dict(bus.tally.refused) == {"left": 1}
+
+
+def test_an_estimator_that_starts_again_says_the_same_of_a_search_that_one_has_joined() -> None:
+    bus = estimated(3, *JOINING)
+    kept = [Arrival(LATECOMER, msgspec.json.encode(each), b"") for each in latecomers(bus)]
+    again = estimated(3, *kept, *BY_TWO, LATE[0], begin_without(3), asks(3))
+    assert said(again) == said(bus)
+
+
+@pytest.mark.parametrize(
+    ("before", "order", "why"),
+    [
+        ([], begin_without(4), "uav/4 is none of the 3 vehicles"),
+        ([alive(3)], begin_without(3), "uav/3 has come"),
+        (OF_THREE[:3], begin_without(3), "the search has begun"),
+        ([departure(1, 0), departure(2, 0)], begin_without(3), "uav/3 is the only one left"),
+        ([begin_without(3), *BY_TWO[:2]], left_out(3), "uav/3 takes no part yet"),
+        ([], asks(3), "uav/3 does not come late"),
+        ([begin_without(3)], asks(3, place=(99.0, 3.0)), "(99.0, 3.0) is outside the area"),
+    ],
+)
+def test_what_cannot_be_of_one_that_comes_late_is_refused(before: list, order: Arrival, why: str) -> None:
+    bus = estimated(3, *before, order)
+    assert dict(bus.tally.refused) == {"order": 1}
+    assert why in bus.tally.last_error
+    assert [each for each in latecomers(bus) if each.says] == []

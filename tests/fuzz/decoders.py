@@ -21,6 +21,7 @@ DECODERS = {
     "waypoint": Decoder(services.mavlink_in_seeds, services.waypoint),
     "plan": Decoder(services.plan_seeds, services.plan),
     "departure": Decoder(services.departure_seeds, services.departure),
+    "latecomer": Decoder(services.latecomer_seeds, services.latecomer),
     "mavlink-in": Decoder(services.mavlink_in_seeds, services.mavlink_in),
     "clients": Decoder(services.clients_seeds, services.clients),
     "frames": Decoder(services.frames_seeds, services.frames),

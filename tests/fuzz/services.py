@@ -26,10 +26,22 @@ from estimator import service as estimator
 from estimator.filter import Config
 from link.bus.frames import FrameStream
 from link.bus.inbox import Inbox
-from link.bus.keys import BELIEF, DEPARTURE, MAVLINK_IN, MAVLINK_OUT, READING, STOP, WAYPOINT, Key
+from link.bus.keys import (
+    BELIEF,
+    DEPARTURE,
+    JOIN,
+    LATECOMER,
+    LEAVE_OUT,
+    MAVLINK_IN,
+    MAVLINK_OUT,
+    READING,
+    STOP,
+    WAYPOINT,
+    Key,
+)
 from link.bus.log import LOGGER, Log
 from link.bus.mavlink import Codec, Reading, pack_reading, split, unpack_reading, waypoint_message
-from link.bus.messages import Belief, Departure, Health, Stop, unpack_particles
+from link.bus.messages import Belief, Departure, Health, Join, Latecomer, LeaveOut, Stop, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.bus.tally import FAULT, REPEATED, Tally
 from link.cli import numbers
@@ -465,6 +477,39 @@ def departure(data: bytes) -> None:
     )
     until_all_are_taken(lambda: estimator.run(bus, _config("paper"), [1, 2, 3]))
     assert FAULT not in bus.tally.refused
+
+
+def latecomer_seeds() -> list[bytes]:
+    late, where = Latecomer(3), Latecomer(3, (6.0, 3.0), 1)
+    order, asks = LeaveOut(3, "later", late=True), Join((6.0, 3.0), clear=True)
+    said = [late, where, msgspec.structs.replace(where, step=2), order, asks]
+    return [msgspec.json.encode(each) for each in said]
+
+
+def latecomer(data: bytes) -> None:
+    """Whatever is said of who comes late, one of three lives on, the agent says it again once at most, and
+    the estimator of three serves on, whoever is let in.
+    """
+    said = Arrival(LATECOMER, as_sent(data), b"", name=LATECOMER.name)
+    for searching in (False, True):  # on the ground it may be about the vehicle itself
+        flight = _Flight(searching=searching, fleet=THREE)
+        flight.goes_on(said, said)
+        _lives_on(flight)
+    agent_bus = QuietBus(said, said)
+    until_all_are_taken(lambda: agent.run(agent_bus, "random", 3, 300, None, reach("random")))
+    assert len(agent_bus.published) <= 1
+    for key in (LATECOMER, LEAVE_OUT, JOIN):
+        whose = key.named(vehicle=3) if key.own else key.name
+        bus = QuietBus(
+            Arrival(LEAVE_OUT, latecomer_seeds()[3], b""),
+            Arrival(key, as_sent(data), b"", name=whose),
+            *(
+                Arrival(READING, pack, b"", name=READING.named(vehicle=n))
+                for n, pack in enumerate(_round(), 1)
+            ),
+        )
+        until_all_are_taken(lambda bus=bus: estimator.run(bus, _config("paper"), [1, 2, 3]))
+        assert FAULT not in bus.tally.refused
 
 
 def _round() -> list[bytes]:

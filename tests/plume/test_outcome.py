@@ -113,6 +113,7 @@ def test_the_json_has_the_fields_that_others_rely_on() -> None:
         "measured",
         "left",
         "doubted",
+        "joined",
         "trace",
     }
     assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}

@@ -21,9 +21,18 @@ from mcap.reader import make_reader
 
 from agent.trials.rollout import mission, rollout
 from ground.view.records import RecordedFleet
-from link.bus.keys import BELIEF, DEPARTURE, HEALTH, STOP
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH, LATECOMER, STOP
 from link.bus.mavlink import message_of, split, unpack_reading
-from link.bus.messages import Belief, Departure, Health, RoundReading, Stop, by_vehicle, pack_particles
+from link.bus.messages import (
+    Belief,
+    Departure,
+    Health,
+    Latecomer,
+    RoundReading,
+    Stop,
+    by_vehicle,
+    pack_particles,
+)
 from link.bus.session import Bus, part_of
 from link.record.reader import read
 from plume.problems.fleet import Fleet
@@ -340,9 +349,10 @@ class Watched:
     """The beliefs of a search, as somebody hears them who looks on."""
 
     def __init__(self, router: str) -> None:
-        self.bus = Bus("viewer", router, "search/1", announced=False, vehicles=(1, 2))
-        self.bus.subscribe(BELIEF, STOP, DEPARTURE, HEALTH)
+        self.bus = Bus("viewer", router, "search/1", announced=False, vehicles=(1, 2, 3))
+        self.bus.subscribe(BELIEF, STOP, DEPARTURE, LATECOMER, HEALTH)
         self.left: dict[int, Departure] = {}
+        self.late: Latecomer | None = None  # what says most
         self.points: dict[int, list[tuple]] = {}
         self.stops: list[Stop] = []
         self.states: dict[str, str] = {}
@@ -359,6 +369,8 @@ class Watched:
             self.stops.append(stop)
         elif item.key is DEPARTURE and (left := self.bus.decode(item, Departure)):
             assert self.left.setdefault(left.vehicle, left) == left  # it is said again as it was
+        elif item.key is LATECOMER and (late := self.bus.decode(item, Latecomer)):
+            self.late = max(self.late or late, late, key=lambda said: said.says)
         elif item.key is HEALTH and (health := self.bus.decode(item, Health)):
             self.states[part_of(item.name)] = health.state
         return max(self.points, default=-1)
@@ -371,22 +383,24 @@ def watched(router: str) -> Iterator[Watched]:
         yield looking_on
 
 
-def commands(router: str, overdue: str = "20") -> dict[str, tuple[str, ...]]:
+def commands(
+    router: str, overdue: str = "20", vehicles: int = 2, policy: str = "homing"
+) -> dict[str, tuple[str, ...]]:
     """What starts the parts of the search, without a launcher."""
-    truth = draw(SEED)
-    joining, fleet = ("-e", router, *SEARCH), ("--vehicles", "2", "--from", "corners")
+    truth, several = draw(SEED), ("--vehicles", str(vehicles))
+    joining, fleet = ("-e", router, *SEARCH), (*several, "--from", "corners")
     return {
         "estimator": (
-            "estimator", *joining, "--vehicles", "2", "--particles", "300", "--rate", repr(truth.q), "--diffusivity",
+            "estimator", *joining, *several, "--particles", "300", "--rate", repr(truth.q), "--diffusivity",
             repr(truth.d), "--lifetime", repr(truth.tau), "--seed", str(derived_seed(SEED, "estimator")),
             "--overdue", overdue,
         ),
-        "agent": ("agent", *joining, "--policy", "homing", "--seed", str(derived_seed(SEED, "agent"))),
+        "agent": ("agent", *joining, "--policy", policy, "--seed", str(derived_seed(SEED, "agent"))),
         **{
             f"uav/{number}": (
                 "sitl", "uav", *joining, *fleet, "-I", str(number - 1), "--seed", str(SEED), "--speedup", "20"
             )
-            for number in (1, 2)
+            for number in range(1, vehicles + 1)
         },
     }  # fmt: skip
 
@@ -443,6 +457,80 @@ def test_a_vehicle_that_dies_is_left_behind_and_an_estimator_that_starts_again_k
         for step in steps
     ]
     assert [watched.points[step] for step in sorted(watched.points)] == expected
+
+
+def test_one_that_comes_late_joins_and_an_estimator_that_starts_again_knows_it(
+    start: type[Part],
+    router: str,
+    watched: Watched,
+    wait_until: Callable,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The others wander on while it starts, however long that takes; what counts is when it was let in."""
+    parts = commands(router, vehicles=3, policy="random")
+    running = {part: start(*parts[part]) for part in ("estimator", "agent", "uav/1")}
+    wait_until(lambda: watched.take() == -1 and {"estimator", "uav/1"} <= set(watched.states))
+    status, _, err = run_sitl(monkeypatch, capsys, "leave-out", "1", "--late", "-e", router)
+    assert (status, "uav/1 is there" in "".join(err)) == (2, True)
+    status, out, _ = run_sitl(monkeypatch, capsys, "leave-out", "2", "--late", "-e", router)
+    assert (status, out) == (0, ["uav/2 comes late: the others begin"])
+    start(*parts["uav/3"])
+    while watched.take() < 2:
+        pass
+    start(*parts["uav/2"])
+    while len(watched.points[watched.take()]) < 3:
+        pass
+    running["estimator"].kill()
+    start(*parts["estimator"])
+    last = watched.take() + 2
+    while watched.take() < last:
+        pass
+    assert watched.late
+    assert isinstance(watched.late.step, int)
+    assert watched.late.since < watched.late.step
+    flown = mission(
+        SEED, "random", 300, 0.5, last, fleet=Fleet(3, "corners"), assume="field", ends=False,
+        joining={2: (watched.late.since, watched.late.step)},
+    )  # fmt: skip
+    expected = [
+        [(each.position, each.gas, step.belief.mean, step.belief.spread) for each in step.readings]
+        for step in flown.steps
+    ]
+    assert [len(points) for points in expected] == [2] * watched.late.step + [3] * (
+        last + 1 - watched.late.step
+    )
+    assert [watched.points[step] for step in range(last + 1)] == expected
+
+
+LATE = """
+{seed: 4, speedup: 4, fleet: {vehicles: 3, formation: corners}, estimator: {particles: 300, threshold_m: 0.01},
+agent: {policy: random, budget: 40}, expect: [not ceased, returned home], events: [{step: 2, do: join, vehicle: 3}]}
+"""
+
+
+@pytest.mark.full
+def test_a_script_lets_a_vehicle_join_and_its_record_is_verified_and_shown(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "late.yaml").write_text(LATE)
+    part = Part("sitl", "fly", "late.yaml", "--record", "late.mcap", "--json", "--trace", cwd=tmp_path)
+    assert part.ended() == 0, part.err
+    outcome = json.loads(part.out[-1])
+    (joined,) = outcome["joined"]
+    assert joined["vehicle"] == 3
+    assert 2 < joined["step"] <= 40
+    own = [point for point in outcome["trace"] if point.get("vehicle") == 3]
+    assert len(own) == outcome["measured"][2]["readings"] == 41 - joined["step"]
+    record = str(tmp_path / "late.mcap")
+    status, out, err = run_sitl(monkeypatch, capsys, "replay", record, "--verify", "--speedup", "0")
+    assert status == 0, err
+    assert "verified: 41 beliefs" in "\n".join([*out, *err])
+    status, out, _ = run_sitl(monkeypatch, capsys, "log", record, "--json")
+    assert json.loads(out[-1])["joined"] == [joined]
+    third = histories_of(read(Path(record)))[2].at()
+    assert [each.step for each in third.measurements] == list(range(joined["step"], 41))
+    assert [each.position for each in third.measurements] == [tuple(point["position"]) for point in own]
 
 
 # ---- what is shown of it ----

@@ -119,6 +119,37 @@ def test_the_others_keep_clear_of_where_one_has_left() -> None:
             assert least_m >= min(4.0, math.dist(before[vehicle], there)) - 1e-6
 
 
+def test_one_that_joins_late_reads_at_its_start_from_its_round_on_and_the_others_keep_clear_of_it() -> None:
+    fleet, joining = Fleet(3, "point"), {3: (4, 9)}
+    flown = mission(4, "homing", 200, 0.01, 12, fleet=fleet, joining=joining, assume="field")
+    steps = list(flown.steps)
+    assert [[each.vehicle for each in step.readings] for step in steps] == [[1, 2]] * 9 + [[1, 2, 3]] * 4
+    start = fleet.starts(draw(4).start, 4)[2]
+    assert steps[9].readings[2].position == start
+    kept_clear = [step.belief.left_at == (LeftAt(3, start, start),) for step in steps]
+    assert kept_clear == [4 <= number < 9 for number in range(13)]
+    places = [{each.vehicle: each.position for each in step.readings} for step in steps]
+    for before, after in pairwise(places[4:9]):  # by 3 m and a step of 1 m, or they go away from there
+        for vehicle, there in before.items():
+            way = np.array([there, after[vehicle]])
+            assert float(gaps(way, np.array([start, start]))) >= min(4.0, math.dist(there, start)) - 1e-6
+
+
+def test_one_that_joins_late_has_the_noise_of_its_round() -> None:
+    flown = mission(4, "homing", 100, 0.01, 6, fleet=Fleet(2, "corners"), joining={2: (3, 5)})
+    *_, last = flown.steps
+    world = World(flown.scenario, 4).of_vehicle(2)
+    assert last.readings[1].gas == world.gas(last.readings[1].position, 6)
+
+
+def test_the_last_of_a_search_may_be_one_that_joined_late() -> None:
+    """Steps are rounds, whoever flies them."""
+    flown = mission(4, "random", 50, 0.01, 6, fleet=Fleet(2, "corners"), joining={2: (1, 3)}, leaving={1: 4})
+    steps = list(flown.steps)
+    assert [step.belief.step for step in steps] == list(range(7))
+    assert [each.vehicle for each in steps[-1].readings] == [2]
+
+
 def test_each_vehicle_has_its_own_noise_and_the_first_that_of_one_alone() -> None:
     world = World(draw(3), 3)
     place = (10.0, 10.0)

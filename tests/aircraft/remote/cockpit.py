@@ -14,9 +14,9 @@ from aircraft.remote.safety import Check, Verdict
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.search import STANDBY, Search
-from aircraft.search.together import Berth
 from aircraft.search.uav import Handling
 from aircraft.state import Arrived, Said, TakenOver, VehicleFailed
+from aircraft.together import Berth
 from link.bus.frames import frames_in
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, Key
 from link.bus.log import Log

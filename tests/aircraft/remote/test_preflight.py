@@ -8,8 +8,8 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.remote.safety import Check, Verdict
-from aircraft.search.together import Berth
 from aircraft.state import VehicleFailed
+from aircraft.together import Berth
 from plume.geodesy import HOME as PLACE
 from plume.problem import Fenced
 from sitl.autopilot.config import VehicleConfig

@@ -53,6 +53,8 @@ RIGHTS = {  # by hand: who publishes, and who receives beside operators and obse
     "agdc/stop": ({"estimator"}, {"vehicle", "agent", "payload", "bridge", "ros2"}),
     "departure": ({"estimator", "agent"}, {"estimator", "agent", "vehicle"}),
     "leave-out": ({"operator"}, {"estimator"}),
+    "join": ({"vehicle"}, {"estimator"}),
+    "latecomer": ({"estimator", "agent"}, {"estimator", "agent", "vehicle"}),
     "health/estimator": ({"estimator"}, set(EVERYBODY)),
     "health/uav": ({"vehicle"}, set(EVERYBODY)),
     "payload/in": ({"vehicle"}, {"payload"}),
@@ -66,7 +68,9 @@ def name_of(role: str, vehicle: int = 1) -> str:
     return f"uav/{vehicle}/{role}" if role in ROLES else role
 
 
-OF_THE_SEARCH = {"waypoint", "belief", "agdc/stop", "departure", "leave-out", "health/estimator"}
+OF_THE_SEARCH = {
+    *("waypoint", "belief", "agdc/stop", "departure", "leave-out", "latecomer", "health/estimator")
+}
 """What a search of several has one of; of all else each of its vehicles has its own."""
 
 

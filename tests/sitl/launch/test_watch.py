@@ -58,7 +58,7 @@ def watch(
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: bus.now_s))
     progress: Any = SimpleNamespace(wait=lambda _: None, say=lambda _: None, show=lambda *_: None)
     watchdog = Watchdog([], PATIENCE_S, 0.0, progress.say)
-    disturbances = Disturbances(events, processes, {}, watchdog, progress.say, lambda *_: None)
+    disturbances = Disturbances(events, processes, {}, watchdog, progress.say, *[lambda *_: None] * 2)
     held = Script(seed=7).changed({"agent.budget": 1, "vehicle.after_stop": "hold"})
     mission = mission or Launch(script=held, patience_s=PATIENCE_S)
     return MissionWatch(mission, bus, progress, watchdog, disturbances, "tcp/127.0.0.1:1", None)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from aircraft.search.together import Berth
 from aircraft.state import Ned
+from aircraft.together import Berth
 from link.modes import Mode
 from plume.problem import AREA
 from plume.problems.fleet import FORMATIONS, Fleet

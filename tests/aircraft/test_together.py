@@ -7,10 +7,14 @@ import math
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import UNSET
+from msgspec.structs import replace
 
 from aircraft.remote.preflight import farthest_m
-from aircraft.search.together import Berth, Together
+from aircraft.together import Berth, Joining, Together
+from link.bus.messages import Join, Latecomer, LeftAt, RoundReading
 from plume.problem import AREA
+from tests.system.test_view import belief as one_belief
 
 APART_M = 3.0
 coordinates = st.floats(-40.0, 60.0)
@@ -69,3 +73,31 @@ def test_who_has_left_is_not_waited_for_and_takes_no_part_from_then_on() -> None
     together.leaves(2, 1)  # said again, as it was not
     assert "uav/2" not in together.services
     assert (together.here(3), together.here(4)) == ([1, 2, 3], [1, 3])
+
+
+def test_one_that_comes_late_is_not_waited_for_and_takes_part_from_its_round_on() -> None:
+    together = Together(3, number=2)
+    together.comes_late(Latecomer(3))
+    assert "uav/3" not in together.services
+    assert (together.here(7), together.begin) == ([1, 2], 0)
+    together.comes_late(Latecomer(3, (2.0, 3.0), 4, 6))
+    together.comes_late(Latecomer(3, (2.0, 3.0), 4))  # said again, as it was before
+    assert (together.here(5), together.here(6)) == ([1, 2], [1, 2, 3])
+    assert "uav/3" not in together.services  # the search has begun
+
+
+def test_a_latecomer_takes_off_once_the_others_are_told_to_keep_clear_and_are() -> None:
+    """By the separation and 1 m, as far as it may stand from its start."""
+    joining = Joining(2, berth((10.0, 10.0), (28.0, 28.0)))
+    assert joining.asks == Join((10.0, 10.0))
+    told = (LeftAt(2, (10.0, 10.0), (10.0, 10.0)),)
+    for place, left_at, clear in (
+        ((14.1, 10.0), UNSET, False),
+        ((13.9, 10.0), told, False),
+        ((14.1, 10.0), (LeftAt(3, (10.0, 10.0), (10.0, 10.0)),), False),
+        ((14.1, 10.0), told, True),
+        ((13.9, 10.0), told, False),  # as of the newest belief
+    ):
+        reading = RoundReading(1, 1, 5, place, 5.0, 0.1)
+        joining.hear(replace(one_belief(3), readings=(reading,), left_at=left_at))
+        assert joining.asks == Join((10.0, 10.0), clear)

@@ -1,14 +1,19 @@
-"""A search by several vehicles as one of them knows it: its own berth, and who takes part in the rounds."""
+"""A search by several vehicles as one of them knows it: its own berth, who takes part, how it joins late."""
 
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from msgspec import UNSET
+
 from link.bus.keys import OF_VEHICLE, SEARCHERS
-from link.cli import numbers
+from link.bus.messages import Belief, Join, Latecomer
 from plume.problem import Area
 
 Place = tuple[float, float]  # (x, y) m
+
+
+AT_START_M = 1.0  # how far from its start a vehicle that joins late may stand
 
 
 class Berth(NamedTuple):
@@ -50,26 +55,62 @@ class Berth(NamedTuple):
 
 
 class Together:
-    """The vehicles of a search by several, and from which round on each no longer takes part."""
+    """The vehicles of a search by several, and in which rounds each takes part."""
 
-    def __init__(self, vehicles: int) -> None:
-        """Take how many begin; with one, or none given, it searches alone."""
-        self.among = vehicles
-        self._ends = dict.fromkeys(numbers(vehicles), math.inf)  # the first round without each vehicle
+    def __init__(self, vehicles: int = 1, number: int = 1, berth: Berth | None = None) -> None:
+        """Take how many there are, and which of them this is, with its place; with one it searches alone."""
+        self.among, self.berth = max(vehicles, 1), berth
+        self._number = number
+        # The first round with each vehicle, inf where it comes late and has none yet; and the first without.
+        numbers = range(1, vehicles + 1) if vehicles > 1 else ()
+        self._begins = dict.fromkeys(numbers, 0.0)
+        self._ends = dict.fromkeys(numbers, math.inf)
 
     @property
     def services(self) -> frozenset[str]:
         """The services without which the search does not begin: none waits in the air for one that never
         comes.
         """
-        there = [number for number, end in self._ends.items() if end == math.inf]
+        there = [each for each, end in self._ends.items() if end == math.inf and not self._begins[each]]
         return SEARCHERS | {f"{OF_VEHICLE}{number}" for number in there}
 
+    @property
+    def begin(self) -> float:
+        """The first round that this vehicle takes part in; inf: it comes late and has none yet."""
+        return self._begins.get(self._number, 0.0)
+
     def here(self, step: int) -> list[int]:
-        """Return the numbers of the vehicles that take part in a round."""
-        return [number for number, end in self._ends.items() if step < end]
+        """Return the numbers of the vehicles that take part in a round; none of one that searches alone."""
+        return [number for number, end in self._ends.items() if self._begins[number] <= step < end]
 
     def leaves(self, vehicle: int, step: int) -> None:
         """Take a vehicle out of the rounds from `step` on. It is not waited for."""
         if self._ends.get(vehicle) == math.inf:
             self._ends[vehicle] = step
+
+    def comes_late(self, said: Latecomer) -> None:
+        """Take that a vehicle comes late. Without a round it is not waited for."""
+        if said.step is not UNSET:
+            self._begins[said.vehicle] = said.step
+        elif not self._begins[said.vehicle]:
+            self._begins[said.vehicle] = math.inf
+
+
+class Joining:
+    """How a vehicle that comes late gets its part in a search.
+
+    It asks for it. The others then keep clear of where it takes off. Once they are, it says so, and is told
+    the round from which on they wait for it: then it takes off.
+    """
+
+    def __init__(self, number: int, berth: Berth) -> None:
+        """Take its number, and its place among the others."""
+        self.asks = Join(berth.start)
+        self._number, self._clear_m = number, berth.separation_m + AT_START_M
+
+    def hear(self, belief: Belief) -> None:
+        """Take where the others are, and whether they keep clear."""
+        places = [each.position for each in belief.readings or ()]
+        keep_clear = any(each.vehicle == self._number for each in belief.left_at or ())
+        clear = all(math.dist(place, self.asks.place) >= self._clear_m for place in places)
+        self.asks = Join(self.asks.place, keep_clear and clear)
