@@ -157,10 +157,7 @@ class Roll:
         return {
             each.vehicle: each.place
             for each in self.late.values()
-            if each.place is not UNSET
-            and each.since <= step
-            and (each.step is UNSET or step < each.step)
-            and not self._rounds.has_ended(each.vehicle)
+            if each.place is not UNSET and each.since <= step and (each.step is UNSET or step < each.step)
         }
 
     def took(self, vehicle: int, payload: bytes) -> None:

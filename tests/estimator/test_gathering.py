@@ -417,10 +417,11 @@ def test_the_readings_of_a_latecomer_count_from_its_round_on_when_it_leaves() ->
     assert dict(bus.tally.refused) == {"left": 1}
 
 
-def test_an_estimator_that_starts_again_says_the_same_of_a_search_that_one_has_joined() -> None:
-    bus = estimated(3, *JOINING)
+def test_an_estimator_that_starts_again_says_the_same_of_a_search_that_one_has_joined_and_left() -> None:
+    bus = estimated(3, *JOINING, departure(3, 4), *[arrival(vehicle, 4) for vehicle in (1, 2)])
     kept = [Arrival(LATECOMER, msgspec.json.encode(each), b"") for each in latecomers(bus)]
-    again = estimated(3, *kept, *BY_TWO, LATE[0], begin_without(3), asks(3))
+    rest = *BY_TWO, LATE[0], *[arrival(vehicle, 4) for vehicle in (1, 2)], begin_without(3), asks(3)
+    again = estimated(3, *kept, departure(3, 4), *rest)
     assert said(again) == said(bus)
 
 

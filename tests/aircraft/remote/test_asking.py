@@ -14,6 +14,7 @@ from aircraft.remote import sensing
 from aircraft.remote.sensing import AskedSensor
 from aircraft.remote.winds import Winds, WindSource
 from aircraft.state import Arrived
+from aircraft.together import Berth
 from link.bus.mavlink import BadFrame
 
 THERE = Arrived(1.0, (4.0, 3.0, -5.0), 1000)
@@ -27,12 +28,13 @@ class Bench:
         self.now_s = 100.0
         self.sent: list[bytes] = []
         monkeypatch.setattr(sensing, "time", SimpleNamespace(monotonic=lambda: self.now_s))
-        known = SimpleNamespace(glitches=SimpleNamespace(lasts=lambda _: False))
+        known = SimpleNamespace(glitches=SimpleNamespace(lasts=lambda _: False), place=(10.0, 20.0, 0.0))
         self.vehicle: Any = SimpleNamespace(wind=None, now_s=0.0, flight=SimpleNamespace(known=known))
         bus: Any = SimpleNamespace(publish=lambda _, question: self.sent.append(question))
         winds = Winds(None, (0.7, -2.0), print)
         winds.source = WindSource.PAYLOAD
-        self.sensor = AskedSensor(self.vehicle, bus, winds)
+        berth = Berth((20.5, 10.0), [(2.0, 2.0)], 3.0)
+        self.sensor = AskedSensor(self.vehicle, bus, winds, 2, 1, berth)
 
     def at(self, now_s: float) -> None:
         self.now_s = now_s
@@ -131,3 +133,12 @@ def test_a_malformed_answer_leaves_the_question_open(bench: Bench) -> None:
     with pytest.raises(BadFrame):
         bench.answered(answer(1000)[:-1])
     assert bench.waiting
+
+
+def test_a_real_vehicle_that_joins_late_has_to_stand_at_its_start(bench: Bench) -> None:
+    """Where it takes off the others keep clear, not on a way from elsewhere."""
+    assert bench.sensor.latecomer() == ""  # half a metre east of it
+    bench.vehicle.flight.known.place = (10.0, 19.0, 0.0)
+    assert bench.sensor.latecomer() == (
+        "to join late it has to stand within 1 m of its start (20.5, 10.0); it is 1.5 m away"
+    )
