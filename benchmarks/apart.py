@@ -6,19 +6,20 @@
 Four vehicles, from each formation in turn. Their rounds are a rollout's; simulated vehicles then fly them,
 and every LOOK_S their distances are measured. One vehicle has a fault on its way to a place: it is late for
 each leg, holds for a while, or leaves the search: it returns, lands where it is, or hovers and then returns.
+In further missions one joins late.
 """
 
 import argparse
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 
 from agent.trials.evaluate import FIRST_TEST_SEED
-from agent.trials.rollout import mission
-from aircraft.together import Berth
+from agent.trials.rollout import NOBODY_LATE, mission
+from aircraft.together import AT_START_M, Berth
 from benchmarks.rows import append, read
 from link import cli
 from link.modes import Mode
@@ -36,6 +37,7 @@ PAUSE_S, HOVER_S = 15.0, 30.0  # how long one is held, and hovers until its sile
 LATEST_S, REACTION_S = 10.0, 0.5  # most that one is late for a leg, and that a stop takes to be heard
 STAYS = ("none", "late", "held")
 FAULTS = (*STAYS, "returns", "lands", "hovers")
+JOINS, JOINING_FROM = "joins late", 50_000  # and from which of the test seeds on one does
 
 
 class Searched(msgspec.Struct, frozen=True):
@@ -79,11 +81,11 @@ class Sky:
         while any(self.vehicles[each].moving for each in vehicles):
             self.passes(LOOK_S)
 
-    def take_off(self) -> None:
-        """Let all take off, and wait."""
-        for vehicle in self.vehicles:
-            vehicle.arm(0.0)
-            vehicle.take_off(0.0)
+    def take_off(self, vehicles: Sequence[int]) -> None:
+        """Let these take off, and wait."""
+        for vehicle in vehicles:
+            self.vehicles[vehicle].arm(self.now_s)
+            self.vehicles[vehicle].take_off(self.now_s)
         self.passes(4.0)
 
     def goes(self, vehicle: int, place: Place) -> None:
@@ -101,16 +103,19 @@ class Sky:
 def fly(seed: int) -> Searched:
     """Fly one seed."""
     number = seed - FIRST_TEST_SEED
-    fault = FAULTS[number % len(FAULTS)]
+    fault = FAULTS[number % len(FAULTS)] if number < JOINING_FROM else JOINS
     formation = list(FORMATIONS)[number // len(FAULTS) % len(FORMATIONS)]
     rng = keyed(seed, "apart")
     faulty, at = int(rng.integers(VEHICLES)), int(rng.integers(1, 11))
     planned = _rounds(seed, formation, None)
     happens = at < len(planned)
-    leaves = fault not in STAYS and happens
+    joining = _joining(seed, formation, faulty, at, planned[0][faulty]) if fault == JOINS else None
+    leaves = fault not in (*STAYS, JOINS) and happens
     flown = _rounds(seed, formation, (faulty + 1, at)) if leaves else planned
+    if joining:
+        flown = _rounds(seed, formation, None, {faulty + 1: joining})
     sky = Sky([planned[0][vehicle] for vehicle in range(VEHICLES)])
-    sky.take_off()
+    sky.take_off([*flown[0]])
     hovers_until_s = math.inf
     for step, places in enumerate(flown):
         wanted = dict(places)
@@ -118,12 +123,15 @@ def fly(seed: int) -> Searched:
             wanted[faulty] = planned[at][faulty]  # it was sent there before it left
         late_s = float(rng.uniform(0.0, LATEST_S)) if fault == "late" else 0.0
         for vehicle, place in wanted.items():
-            if not (vehicle == faulty and late_s):
+            if not (vehicle == faulty and (late_s or (joining and step == joining[1]))):
                 sky.goes(vehicle, place)
+        if joining and step == joining[1]:  # it takes off while they fly
+            sky.take_off([faulty])
+            sky.goes(faulty, wanted[faulty])
         if late_s:
             sky.passes(late_s)
             sky.goes(faulty, wanted[faulty])
-        if happens and step == at and fault not in ("none", "late"):
+        if happens and step == at and fault not in ("none", "late", JOINS):
             sky.passes(float(rng.uniform(0.0, 1.0)))
             _happens(sky, fault, faulty, wanted[faulty])
             hovers_until_s = sky.now_s + HOVER_S if fault == "hovers" else math.inf
@@ -151,14 +159,32 @@ def _happens(sky: Sky, fault: str, vehicle: int, place: Place) -> None:
         sky.changes(vehicle, {"returns": Mode.RETURN, "lands": Mode.LAND, "hovers": Mode.HOLD}[fault])
 
 
-def _rounds(seed: int, formation: str, leaving: tuple[int, int] | None) -> list[dict[int, Place]]:
+def _joining(seed: int, formation: str, vehicle: int, since: int, stand: Place) -> tuple[int, int]:
+    """Return when a vehicle, from 0, asks to join, and its first round: the one after that in which all are
+    clear of its stand.
+    """
+    never = BUDGET + 1
+    flown = _rounds(seed, formation, None, {vehicle + 1: (since, never)})
+    clear_m = SEPARATION_M + AT_START_M
+    for step, places in enumerate(flown):
+        if step >= since and all(math.dist(stand, place) >= clear_m for place in places.values()):
+            return since, step + 1
+    return since, never
+
+
+def _rounds(
+    seed: int,
+    formation: str,
+    leaving: tuple[int, int] | None,
+    joining: Mapping[int, tuple[int, int]] = NOBODY_LATE,
+) -> list[dict[int, Place]]:
     """Return where each vehicle, from 0, takes its reading in each round.
 
-    leaving: the number of one that leaves, and the first round without it.
+    leaving: the number of one that leaves, and the first round without it.  joining: as of `mission`.
     """
     flown = mission(
         seed, "homing", PARTICLES, 0.5, BUDGET, fleet=Fleet(VEHICLES, formation, SEPARATION_M),
-        leaving=dict([leaving] if leaving else []), assume="field",
+        leaving=dict([leaving] if leaving else []), joining=joining, assume="field",
     )  # fmt: skip
     return [{each.vehicle - 1: each.position for each in step.readings} for step in flown.steps]
 
@@ -171,7 +197,7 @@ def table(rows: Sequence[Searched]) -> str:
         "| below 3 m, missions |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for fault in FAULTS:
+    for fault in (*FAULTS, JOINS):
         own = [row for row in rows if row.fault == fault]
         cells = [fault, str(len(own))]
         for least in ([getattr(row, f"{phase}_m") for row in own] for phase in ("searching", "left", "home")):
@@ -193,7 +219,8 @@ def main() -> None:
     rows = read(ROWS, Searched)
     if args.fly:
         known = {row.seed for row in rows}
-        for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.missions):
+        numbers = *range(args.missions), *range(JOINING_FROM, JOINING_FROM + args.missions // len(FAULTS))
+        for seed in (FIRST_TEST_SEED + number for number in numbers):
             if seed not in known:
                 rows.append(fly(seed))
                 append(rows[-1:], ROWS)

@@ -11,7 +11,7 @@ from link.modes import Mode
 def test_the_sky_measures_the_least_distance_of_what_flies_in_it() -> None:
     """Two fly past each other, 3 m aside, and stop 1 m further on; then one of them climbs, and flies away."""
     sky = Sky([(0.0, 3.0), (20.0, 0.0)])
-    sky.take_off()
+    sky.take_off(range(2))
     assert sky.least_m["searching"] == pytest.approx(math.hypot(20.0, 3.0))
     sky.goes(0, (10.0, 3.0))
     sky.goes(1, (9.0, 0.0))
