@@ -106,11 +106,17 @@ class Joining:
     def __init__(self, number: int, berth: Berth) -> None:
         """Take its number, and its place among the others."""
         self.asks = Join(berth.start)
-        self._number, self._clear_m = number, berth.separation_m + AT_START_M
+        self._number, self._separation_m = number, berth.separation_m
 
     def hear(self, belief: Belief) -> None:
-        """Take where the others are, and whether they keep clear."""
-        places = [each.position for each in belief.readings or ()]
-        keep_clear = any(each.vehicle == self._number for each in belief.left_at or ())
-        clear = all(math.dist(place, self.asks.place) >= self._clear_m for place in places)
-        self.asks = Join(self.asks.place, keep_clear and clear)
+        """Take where the others are, and whether they keep clear.
+
+        Those that have left may hover where they read last, and stand where they read first.
+        """
+        here, apart_m = self.asks.place, self._separation_m
+        away = {each.vehicle: each for each in belief.left_at or ()}
+        keep_clear = away.pop(self._number, None) is not None
+        flying = *(each.position for each in belief.readings or ()), *(each.last for each in away.values())
+        clear = all(math.dist(place, here) >= apart_m + AT_START_M for place in flying)
+        clear &= all(math.dist(each.first, here) >= apart_m for each in away.values())
+        self.asks = Join(here, keep_clear and clear)

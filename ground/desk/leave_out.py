@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
             return cli.FAILED
         known = sorted(part for part in there if part.startswith(OF_VEHICLE))
         if args.late and f"{OF_VEHICLE}{args.vehicle}" in known:
-            raise cli.BadInput(f"--late: uav/{args.vehicle} is there: the others wait for nobody else")
+            raise cli.BadInput(f"--late: uav/{args.vehicle} is there; wanted one that has not come")
         if not args.late and f"{OF_VEHICLE}{args.vehicle}" not in known:
             raise cli.BadInput(
                 f"K: uav/{args.vehicle} is not there; wanted one of {', '.join(known) or 'several vehicles'}"

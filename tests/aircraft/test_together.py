@@ -97,6 +97,13 @@ def test_a_latecomer_takes_off_once_the_others_are_told_to_keep_clear_and_are() 
         ((14.1, 10.0), (LeftAt(3, (10.0, 10.0), (10.0, 10.0)),), False),
         ((14.1, 10.0), told, True),
         ((13.9, 10.0), told, False),  # as of the newest belief
+        (
+            (14.1, 10.0),
+            (*told, LeftAt(3, (10.0, 13.1), (10.0, 14.1))),
+            True,
+        ),  # one that has left, clear of it
+        ((14.1, 10.0), (*told, LeftAt(3, (10.0, 13.1), (10.0, 13.9))), False),  # hovers too near
+        ((14.1, 10.0), (*told, LeftAt(3, (10.0, 12.9), (10.0, 14.1))), False),  # stands too near
     ):
         reading = RoundReading(1, 1, 5, place, 5.0, 0.1)
         joining.hear(replace(one_belief(3), readings=(reading,), left_at=left_at))
