@@ -3,9 +3,10 @@
     python -m benchmarks.together                              # the table of docs/fleet.md, from results/
     python -m benchmarks.together --fly --missions 100         # flies what the rows lack, and adds them
 
-A fleet is compared with one vehicle from the same formation on the same seeds: the share of its moves, with a
-bootstrap interval over the pairs. `alone` flies each vehicle of a formation with a belief of its own, as if
-the others were not there; the first to stop ends the search of all, and all have flown as many moves.
+A fleet is compared with one vehicle from the same formation, and with one from a point, on the same seeds:
+the share of its moves, with a bootstrap interval over the pairs. `alone` flies each vehicle of a formation
+with a belief of its own, as if the others were not there; the first to stop ends the search of all, and all
+have flown as many moves.
 """
 
 import argparse
@@ -125,9 +126,9 @@ def table(rows: Sequence[Flown]) -> str:
     for row in rows:
         of_cell[row.cell][row.seed] = row
     lines = [
-        "| policy | from | vehicles | missions | moves together | share of one | metres in all "
-        "| moves alone | share of one | false stops together | alone |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| policy | from | vehicles | missions | moves together | share of one | of one from a point "
+        "| metres in all | moves alone | share of one | false stops together | alone |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
 
     def order(cell: Cell) -> tuple[str, int, int]:
@@ -135,12 +136,14 @@ def table(rows: Sequence[Flown]) -> str:
 
     for cell in sorted((cell for cell in of_cell if cell.how == "together"), key=order):
         own, one = of_cell[cell], of_cell.get(cell._replace(vehicles=1), {})
+        at_a_point = of_cell.get(cell._replace(formation="point", vehicles=1), {})
         alone = [of_cell.get(cell._replace(vehicles=k, how="alone"), {}) for k in range(2, cell.vehicles + 1)]
         apart = first_of([one, *alone]) if alone else {}
         metres = bootstrap(np.array([row.distance_m for row in own.values()])).text(1, 0)
         cells = [
             *(cell.policy, cell.formation, str(cell.vehicles), str(len(own))),
-            *(_moves(own), _share(own, one), metres, _moves(apart), _share(apart, one)),
+            *(_moves(own), _share(own, one), _share(own, at_a_point), metres),
+            *(_moves(apart), _share(apart, one)),
             *(_false(own), _false(apart)),
         ]
         lines.append(f"| {' | '.join(cells)} |")
