@@ -41,7 +41,7 @@ def test_it_is_the_mission_that_a_launcher_of_all_parts_flies_to_the_last_bit(
     ):
         start(service, "--connect", router, *words)
     joined = start("sitl", "fly", mission, "--connect", router, "--json", "--trace", cwd=tmp_path)
-    assert joined.ended() == 0, joined.err
+    assert joined.ended() == 0, "".join(joined.err)
     one, other = (json.loads(part.out[-1]) for part in (whole, joined))
     assert (
         one["policy"] == other["policy"] == "homing"

@@ -29,7 +29,7 @@ QUICK = (
 
 def test_it_prints_the_figures_as_json_and_writes_a_row_a_mission(start, tmp_path: Path) -> None:
     sweep = start(*QUICK, "--scenarios", "3", "--json", "--missions", "missions.csv", cwd=tmp_path)
-    assert sweep.ended() == 0, sweep.err
+    assert sweep.ended() == 0, "".join(sweep.err)
     figures = json.loads(sweep.out[-1])
     assert list(figures) == ["greedy", "thompson"]
     wanted = {
@@ -160,7 +160,7 @@ def test_a_table_that_exists_is_written_over_only_when_asked_to(start, tmp_path:
 @pytest.mark.full
 def test_a_table_can_go_through_a_pipe(start, tmp_path: Path) -> None:
     sweep = start(*QUICK, "--scenarios", "1", "--missions", "/dev/stdout", cwd=tmp_path)
-    assert sweep.ended() == 0, sweep.err
+    assert sweep.ended() == 0, "".join(sweep.err)
     assert [row["policy"] for row in csv.DictReader(sweep.out)] == ["greedy", "thompson"]
 
 

@@ -127,7 +127,7 @@ def test_what_a_script_cuts_off_for_longer_than_the_patience_is_no_hang(start, t
         "restart_after_s: 13}]\n"
     )
     mission = start("sitl", "fly", str(script), "--patience", "12", cwd=tmp_path)
-    assert mission.ended() == 0, mission.err
+    assert mission.ended() == 0, "".join(mission.err)
     assert mission.says("script: link of agent restored")
     assert mission.says("script: estimator started again")
 

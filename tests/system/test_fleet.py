@@ -67,7 +67,7 @@ def without_times(outcome: dict) -> dict:
 def flown(start: type[Part], folder: Path, *flags: str) -> tuple[dict, str]:
     """The outcome of a mission flown as processes, and what it said."""
     part = start("sitl", "fly", *flags, "--no-record", "--json", "--trace", cwd=folder)
-    assert part.ended() == 0, part.err
+    assert part.ended() == 0, "".join(part.err)
     return without_times(json.loads(part.out[-1])), "".join(part.err)
 
 
@@ -177,7 +177,7 @@ def test_a_vehicle_that_dies_before_the_search_is_left_behind(start: type[Part],
     while len(vehicles) < 2:
         vehicles = processes_of(part)
     os.kill(vehicles["2"], signal.SIGKILL)
-    assert part.ended() == 0, part.err
+    assert part.ended() == 0, "".join(part.err)
     assert "warning: uav/2 has left the search at step 0: was killed by signal 9" in "".join(part.err)
 
 
@@ -218,7 +218,7 @@ def lost(tmp_path_factory: pytest.TempPathFactory) -> Lost:
     folder = tmp_path_factory.mktemp("lost")
     (folder / "losing.yaml").write_text(LOSING)
     part = Part("sitl", "fly", "losing.yaml", "--record", "lost.mcap", "--json", "--trace", cwd=folder)
-    assert part.ended() == 0, part.err
+    assert part.ended() == 0, "".join(part.err)
     return Lost(json.loads(part.out[-1]), "".join(part.err), folder / "lost.mcap")
 
 
@@ -287,7 +287,7 @@ def test_a_sensor_that_lies_is_named_and_left_out_and_the_record_is_verified(
 ) -> None:
     (tmp_path / "lying.yaml").write_text(LYING)
     part = Part("sitl", "fly", "lying.yaml", "--record", "lying.mcap", "--json", "--trace", cwd=tmp_path)
-    assert part.ended() == 0, part.err
+    assert part.ended() == 0, "".join(part.err)
     outcome = json.loads(part.out[-1])
     # It repeats its reading 2, so that reading 4 is the third of the same value. The order comes too late.
     assert outcome["doubted"] == [{"vehicle": 2, "step": 4}]
@@ -515,7 +515,7 @@ def test_a_script_lets_a_vehicle_join_and_its_record_is_verified_and_shown(
 ) -> None:
     (tmp_path / "late.yaml").write_text(LATE)
     part = Part("sitl", "fly", "late.yaml", "--record", "late.mcap", "--json", "--trace", cwd=tmp_path)
-    assert part.ended() == 0, part.err
+    assert part.ended() == 0, "".join(part.err)
     outcome = json.loads(part.out[-1])
     (joined,) = outcome["joined"]
     assert joined["vehicle"] == 3
@@ -602,7 +602,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "agent: {budget: 4}, events: [{step: 2, do: wind, phi: 1.0}]}"
     )
     part = Part("sitl", "fly", "two.yaml", "--record", "two.mcap", cwd=folder)
-    assert part.ended() == 0, part.err
+    assert part.ended() == 0, "".join(part.err)
     return folder / "two.mcap"
 
 

@@ -36,7 +36,7 @@ class Flight(NamedTuple):
 def fly(folder: Path, *words: str) -> Flight:
     """A mission as fast as it goes."""
     part = Part("sitl", "fly", "--speedup", "0", *words, cwd=folder)
-    assert part.ended() == 0, part.err
+    assert part.ended() == 0, "".join(part.err)
     return Flight(part.out, part.err, folder)
 
 

@@ -110,7 +110,7 @@ def test_a_real_autopilot_and_a_simulated_vehicle_search_together_and_their_reco
             "3",
         )
         flight = start("sitl", "fly", *words, "--record", "mixed.mcap", cwd=tmp_path)
-        assert flight.ended() == 0, flight.err
+        assert flight.ended() == 0, "".join(flight.err)
         assert not double.wire.autopilot.armed  # it has landed at home
     said = json.loads(flight.out[-1])
     assert (said["ceased"], said["steps"]) == (False, 3)
@@ -130,7 +130,7 @@ def test_two_real_autopilots_from_homes_of_their_own_search_one_area_and_keep_ap
         urls = [word for double in those for word in ("--vehicle", double.url)]
         words = ("--vehicles", "2", *urls, "--home", ORIGIN, *REAL, *SEARCH, "--budget", "12")
         flight = start("sitl", "fly", *words, "--record", "two.mcap", cwd=tmp_path)
-        assert flight.ended() == 0, flight.err
+        assert flight.ended() == 0, "".join(flight.err)
         for double, home in zip(those, HOMES, strict=True):
             autopilot = double.wire.autopilot
             assert not autopilot.armed
@@ -160,7 +160,7 @@ def test_a_real_vehicle_flies_on_when_the_simulated_one_beside_it_is_killed(
         os.kill(processes_of(flight)["2"], signal.SIGKILL)
         wait_until(lambda: flight.says("uav/2 has left the search"))
         assert double.wire.autopilot.armed
-        assert flight.ended() == 0, flight.err
+        assert flight.ended() == 0, "".join(flight.err)
         assert not double.wire.autopilot.armed
     said = json.loads(flight.out[-1])
     assert [left["vehicle"] for left in said["left"]] == [2]

@@ -50,7 +50,7 @@ def test_the_projects_own_vehicle_is_flown_to_the_source_in_its_own_wind_and_the
     assert len(parts) >= 7, (
         "router, recorder, estimator, agent, payload, uav of the search, and the other side"
     )
-    assert flight.ended() == 0, flight.err
+    assert flight.ended() == 0, "".join(flight.err)
     said = json.loads(flight.out[-1])
     assert said["located"] is True
     assert said["error_m"] <= 1.0

@@ -147,7 +147,7 @@ def test_two_nodes_give_what_the_cores_give_and_an_interrupt_loses_nothing(
         3
     ):  # on a busy machine all is flown before a node's worker has started; the next time it is there
         on_ray = start(*few, "--ray", address, "--missions", "ray.csv", "--force", cwd=tmp_path)
-        assert on_ray.ended() == 0, on_ray.err
+        assert on_ray.ended() == 0, "".join(on_ray.err)
         if both := cluster.flew("head") and cluster.flew("second"):
             break
     assert both
@@ -155,7 +155,7 @@ def test_two_nodes_give_what_the_cores_give_and_an_interrupt_loses_nothing(
     assert json.loads(figures)["greedy particles=100 threshold=0.5"]["missions"] == 50
     assert not on_ray.says("ray")  # none of Ray's own output
     on_cores = start(*few, "--workers", "2", "--missions", "cores.csv", cwd=tmp_path)
-    assert on_cores.ended() == 0, on_cores.err
+    assert on_cores.ended() == 0, "".join(on_cores.err)
     rows = untimed(tmp_path / "ray.csv")
     assert len(rows) == 2 * 2 * 50
     assert rows == untimed(tmp_path / "cores.csv")

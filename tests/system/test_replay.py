@@ -470,7 +470,7 @@ class TestOnAnotherBus:
         for service in running.values():
             service.kill()
         services_of(log, start, router)
-        assert replay.ended() == 0, replay.err
+        assert replay.ended() == 0, "".join(replay.err)
         assert replay.out[-1].startswith("verified: ")
 
     @pytest.mark.full
@@ -540,7 +540,7 @@ class TestAutopilotLog:
         replay = start(
             "sitl", "replay", str(flown), "--speedup", "0", "--origin", "0,0", "--area", "30", *told, "--json"
         )
-        assert replay.ended() == 0, replay.err
+        assert replay.ended() == 0, "".join(replay.err)
         (stop,) = said(log, "agdc/stop")
         result = json.loads(replay.out[-1])
         assert result["estimate"] == stop["estimate"]
@@ -585,7 +585,7 @@ class TestAutopilotLog:
         replay = start(
             "sitl", "replay", str(flown), "--speedup", "0", "--plume", str(mission), "--to", "30", "--json"
         )
-        assert replay.ended() == 0, replay.err
+        assert replay.ended() == 0, "".join(replay.err)
         result = json.loads(replay.out[-1])
         assert result["error_m"] == pytest.approx(math.dist(result["estimate"], (17, 16)))
         assert replay.says("source   (17.00, 16.00), error ")

@@ -24,7 +24,7 @@ def test_it_makes_a_page_of_what_evaluate_wrote(start, tmp_path: Path) -> None:
     )
     assert start("agent", "evaluate", *flags, cwd=tmp_path).ended() == 0
     report = start("agent", "report", cwd=tmp_path)
-    assert report.ended() == 0, report.err
+    assert report.ended() == 0, "".join(report.err)
     assert report.says("flying 100 missions of greedy")
     assert report.out[-1] == "report/index.html\n"
     assert "| 20 | 0.5 | greedy | 2 |" in (tmp_path / "report" / "results.md").read_text()

@@ -324,7 +324,7 @@ def test_a_mission_is_flown_and_all_that_it_sends_over_udp_is_signed(start, key:
             str(key),
         )
         fly = start("sitl", "fly", *words, cwd=key.parent)
-        assert fly.ended() == 0, fly.err
+        assert fly.ended() == 0, "".join(fly.err)
         assert len(wire.heard) > 50
         assert all(is_rightly_signed(frame.data) for frame in wire.heard)
         times = [int.from_bytes(frame.data[-12:-6], "little") for frame in wire.heard]

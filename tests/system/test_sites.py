@@ -42,7 +42,7 @@ def test_a_mission_over_two_sites_outlasts_a_cut_between_them_and_is_the_same(
     wait_until(lambda: parts()["estimator"]["status"] in ("missing", "stale"))
     at = parts()["uav"]["step"]
     radio.restore()
-    assert flight.ended() == 0, flight.err
+    assert flight.ended() == 0, "".join(flight.err)
     assert undisturbed.ended() == 0
     one, other = (json.loads(part.out[-1]) for part in (undisturbed, flight))
     assert {**one, "search_time_s": 0, "policy": ""} == {**other, "search_time_s": 0, "policy": ""}

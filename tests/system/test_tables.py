@@ -23,7 +23,7 @@ def flight(tmp_path: Path) -> Path:
 def test_a_table_ends_in_a_record_that_is_enough(start, flight: Path) -> None:
     record = flight.with_suffix(".mcap")
     replay = start("sitl", "replay", str(flight), *FEW, "--record", str(record), "--json")
-    assert replay.ended() == 0, replay.err
+    assert replay.ended() == 0, "".join(replay.err)
     result = json.loads(replay.out[-1])
     assert replay.says("replay: background: ")
     assert replay.says(f"record   {record}")
@@ -33,7 +33,7 @@ def test_a_table_ends_in_a_record_that_is_enough(start, flight: Path) -> None:
     beliefs = {json.loads(entry.payload)["step"] for entry in recording.entries if entry.key == "belief"}
     assert beliefs == set(range(result["beliefs"]))
     again = start("sitl", "replay", str(record), "--verify", "--speedup", "0", "--json")
-    assert again.ended() == 0, again.err
+    assert again.ended() == 0, "".join(again.err)
     assert json.loads(again.out[-1])["estimate"] == result["estimate"]
 
 

@@ -83,7 +83,7 @@ def test_a_mission_on_ardupilot_reads_the_plume_where_it_reports_to_be_in_the_wi
     flight = start(
         "sitl", "fly", "--vehicle", ardupilot.url, "--speedup", f"{FAST:g}", *SHORT, *words, cwd=tmp_path
     )
-    assert flight.ended() == 0, flight.err
+    assert flight.ended() == 0, "".join(flight.err)
     said = json.loads(flight.out[-1])
     assert (said["ceased"], said["steps"], said["located"]) == (False, 2, False)
     assert said["source"] == pytest.approx(draw(SEED).source)
