@@ -223,8 +223,7 @@ class Roll:
             return False
         why = "" if late else f"uav/{arrival.vehicle} does not come late"
         why = "the search has ceased" if self._bus.tally.ceased else why
-        if not (why or (all(map(math.isfinite, wanted.place)) and self._config.area.holds(wanted.place))):
-            why = f"{wanted.place} is outside the area {self._config.area.text}"
+        why = why or self._outside(wanted.place)
         if why or late is None:
             self._bus.refuse(JOIN, why, "order")
             return False
@@ -245,7 +244,15 @@ class Roll:
         if said.vehicle > len(self._systems):
             self._bus.refuse(LATECOMER, f"vehicle {said.vehicle} of {len(self._systems)}", "other vehicle")
             return False
+        if said.place is not UNSET and (why := self._outside(said.place)):  # no agent could plan with it
+            self._bus.refuse(LATECOMER, why, "malformed")
+            return False
         return self._come_late(said)
+
+    def _outside(self, place: Place) -> str:
+        """Return that a place is outside the area, in words; empty if it is not."""
+        inside = all(map(math.isfinite, place)) and self._config.area.holds(place)
+        return "" if inside else f"{place} is outside the area {self._config.area.text}"
 
     def _come_late(self, said: Latecomer) -> bool:
         """Note how far a latecomer has come, and say so; returns whether that can be."""

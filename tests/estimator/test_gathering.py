@@ -425,6 +425,13 @@ def test_an_estimator_that_starts_again_says_the_same_of_a_search_that_one_has_j
     assert said(again) == said(bus)
 
 
+def test_what_the_bus_says_of_a_latecomer_and_cannot_be_is_refused() -> None:
+    said_of = (latecomer(4), latecomer(3, (99.0, 3.0), 0), latecomer(2, STAND, 0, 0))
+    bus = estimated(3, *OF_THREE[:3], *[Arrival(LATECOMER, msgspec.json.encode(it), b"") for it in said_of])
+    assert dict(bus.tally.refused) == {"other vehicle": 1, "malformed": 1, "conflicting": 1}
+    assert latecomers(bus) == []
+
+
 @pytest.mark.parametrize(
     ("before", "order", "why"),
     [
