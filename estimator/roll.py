@@ -207,8 +207,10 @@ class Roll:
         why = ""
         if number not in (left := self._rounds.left()):
             why = f"uav/{number} is none of the {len(self._systems)} vehicles"
-        elif number in self._attendance.known or self._rounds.number or self._rounds.counts[number - 1]:
-            why = f"uav/{number} has come" if number in self._attendance.known else "the search has begun"
+        elif number in self._attendance.known:
+            why = f"uav/{number} has come"
+        elif self._rounds.number or self._rounds.counts[number - 1]:
+            why = "the search has begun"
         elif left == [number]:
             why = f"uav/{number} is the only one left"
         if why:

@@ -323,14 +323,9 @@ class Uav:
         """Ask for its part in a search that others have begun; returns what it waits for."""
         if why := self._sensor.latecomer():
             return why
-        if self._bus and self._vehicle.free and self._asking.due(now_s := time.monotonic()):
+        if self._bus and self._vehicle.free and self._asking.due(time.monotonic()):
             self._bus.publish(JOIN, joining.asks)
-            self._asking.tried(now_s)
-        return (
-            "joins late: waits for its round"
-            if joining.asks.clear
-            else "joins late: waits for a clear take-off"
-        )
+        return f"joins late: waits for {'its round' if joining.asks.clear else 'a clear take-off'}"
 
     def _perform(self, event: OnBoard) -> None:
         fields = msgspec.structs.asdict(event).items()
