@@ -6,7 +6,8 @@
 A fleet is compared with one vehicle from the same formation, and with one from a point, on the same seeds:
 the share of its moves, with a bootstrap interval over the pairs. `alone` flies each vehicle of a formation
 with a belief of its own, as if the others were not there; the first to stop ends the search of all, and all
-have flown as many moves.
+have flown as many moves. `told` are fleets that know where the source is, and fly there by the shortest way:
+how much of a search is that way, whatever the planner.
 """
 
 import argparse
@@ -18,20 +19,25 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from agent.planning.apart import Shared
+from agent.planning.moves import lengths
 from agent.policies import DEFAULT, choose, reach
+from agent.together import in_turn
 from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.figures import bootstrap, wilson
-from agent.trials.rollout import rollout
+from agent.trials.rollout import prepared, rollout
+from agent.trials.rounds import Rounds
 from agent.trials.workers import as_flown
 from benchmarks.rows import append, read
 from estimator.belief import belief
+from estimator.criterion import USUAL_THRESHOLD_M
 from estimator.filter import Config, assimilate, prior
 from link import cli
 from link.bus.mavlink import Reading
 from link.terminal import tell
 from plume.outcome import verdict
-from plume.problem import ALTITUDE_M
-from plume.problems.fleet import FORMATIONS, Fleet
+from plume.problem import ALTITUDE_M, PAPER
+from plume.problems.fleet import FORMATIONS, Fleet, Place
 from plume.randomness import derived_seed, seed_of
 from plume.scenario import BUDGET_STEPS, draw
 from plume.worlds.world import World
@@ -46,7 +52,7 @@ class Cell(NamedTuple):
     policy: str
     formation: str
     vehicles: int
-    how: str  # together, or alone: then `vehicles` says which vehicle of the formation
+    how: str  # together, told, or alone: then `vehicles` says which vehicle of the formation
 
 
 class Flown(msgspec.Struct, frozen=True):
@@ -70,13 +76,35 @@ class Flown(msgspec.Struct, frozen=True):
 
 def fly(seed: int, cells: Sequence[Cell]) -> list[Flown]:
     """Fly one seed in each of these cells."""
-    return [(_together if cell.how == "together" else _alone)(seed, cell) for cell in cells]
+    ways = {"together": _together, "alone": _alone, "told": _told}
+    return [ways[cell.how](seed, cell) for cell in cells]
 
 
 def _together(seed: int, cell: Cell) -> Flown:
     result, _ = rollout(seed, cell.policy, vehicles=cell.vehicles, formation=cell.formation)
     false_stop = result.ceased and not result.located and not result.outside
     return Flown(*cell, seed, result.ceased, false_stop, result.steps, result.distance_m)
+
+
+def _told(seed: int, cell: Cell) -> Flown:
+    """Fly a fleet of which each vehicle goes as near to the source as the others let it."""
+    world, config = prepared(seed, PAPER, 1000, USUAL_THRESHOLD_M, assume="field")
+    source, fleet = np.array(world.truth.source), Fleet(cell.vehicles, cell.formation)
+    rounds = Rounds(world, config, fleet.starts(world.start, seed))
+    places, within = rounds.places, reach(cell.policy)
+
+    def decide(vehicle: int, free: Shared) -> Place:
+        moves = free.moves(rounds.places[vehicle])
+        x, y = moves[np.argmin(lengths(moves - source))].tolist()
+        return x, y
+
+    for step in range(BUDGET_STEPS + 1):
+        said = rounds.fly(places).belief
+        if said.ceased or step == BUDGET_STEPS:
+            break
+        places = in_turn(within, rounds.places, fleet.separation_m, decide)
+    ended = verdict(said.ceased, said.mean, world.truth.source, said.outside)
+    return Flown(*cell, seed, said.ceased, ended == "FALSE STOP", step, float(step * cell.vehicles))
 
 
 def _alone(seed: int, cell: Cell) -> Flown:
@@ -116,7 +144,7 @@ def cells_of(policies: Sequence[str], most: int) -> list[Cell]:
         for policy in policies
         for formation in FORMATIONS
         for vehicles in range(1, most + 1)
-        for how in ("together", "alone")[: 1 + (vehicles > 1 and formation != "edge")]
+        for how in ("together", "told", "alone")[: 2 + (vehicles > 1 and formation != "edge")]
     ]
 
 
@@ -127,8 +155,8 @@ def table(rows: Sequence[Flown]) -> str:
         of_cell[row.cell][row.seed] = row
     lines = [
         "| policy | from | vehicles | missions | moves together | share of one | of one from a point "
-        "| metres in all | moves alone | share of one | false stops together | alone |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+        "| if told | metres in all | moves alone | share of one | false stops together | alone |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
 
     def order(cell: Cell) -> tuple[str, int, int]:
@@ -137,12 +165,13 @@ def table(rows: Sequence[Flown]) -> str:
     for cell in sorted((cell for cell in of_cell if cell.how == "together"), key=order):
         own, one = of_cell[cell], of_cell.get(cell._replace(vehicles=1), {})
         at_a_point = of_cell.get(cell._replace(formation="point", vehicles=1), {})
+        told = of_cell.get(cell._replace(how="told"), {})
         alone = [of_cell.get(cell._replace(vehicles=k, how="alone"), {}) for k in range(2, cell.vehicles + 1)]
         apart = first_of([one, *alone]) if alone else {}
         metres = bootstrap(np.array([row.distance_m for row in own.values()])).text(1, 0)
         cells = [
             *(cell.policy, cell.formation, str(cell.vehicles), str(len(own))),
-            *(_moves(own), _share(own, one), _share(own, at_a_point), metres),
+            *(_moves(own), _share(own, one), _share(own, at_a_point), _share(told, at_a_point), metres),
             *(_moves(apart), _share(apart, one)),
             *(_false(own), _false(apart)),
         ]

@@ -7,6 +7,7 @@ import platform
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +19,7 @@ from ground.desk.scenes import RecordedScene
 from link import cli
 from link.bus.keys import KEYS, STOP
 from link.bus.opening import CONNECT_TIMEOUT_S
+from link.bus.session import Arrival
 from link.interrupts import on_end
 from link.record.record import Entry, SimulationClock
 from link.record.tap import Tap
@@ -30,6 +32,7 @@ BATCH_S = 0.2
 FLUSH_S = 0.35  # interval of flushes, s, every second batch: a killed recorder loses 0.4 s
 SIGNAL_POLL_S = 0.05
 LAST_WORDS_S = 0.5  # longest wait at the end for messages still in transit, s
+LEFT_S = 2.0  # interval at which it says, once told to end, how much is left to write, s
 # Zenoh's threads, read by the first session of a process: by default each message passes through four thread
 # pools. Sending keeps its own thread: a receiver may wait for something to be sent first, which would block
 # the router and with it the mission.
@@ -148,7 +151,7 @@ def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> N
         if ended:
             bus.settle(LAST_WORDS_S)
         messages = bus.take()
-        for message in messages:
+        for message in _one_by_one(messages, ends, bus.log.info):
             if message.key is STOP:
                 bus.take_stop(message)
             simulation_s = clock.time_s(message.name, message.payload, message.published_ns)
@@ -171,6 +174,18 @@ def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> N
             writer.flush()
             flush_at = time.monotonic() + FLUSH_S
     writer.close()
+
+
+def _one_by_one(
+    messages: Sequence[Arrival], ends: list[int], say: Callable[[str], None]
+) -> Iterator[Arrival]:
+    """Yield messages. Once told to end, say now and then how many are left: the launcher waits as long."""
+    said_s = time.monotonic()
+    for done, message in enumerate(messages):
+        if ends and time.monotonic() - said_s >= LEFT_S:
+            said_s = time.monotonic()
+            say(f"messages left to write: {len(messages) - done:,}")
+        yield message
 
 
 def _give_way() -> None:

@@ -1,6 +1,7 @@
 """The parts of a mission as processes: how each starts, what it prints, and how all end together."""
 
 import contextlib
+import math
 import os
 import queue
 import re
@@ -42,6 +43,7 @@ class PartKind:
     turn: int = 1  # parts end in the order of their turns, those of one turn at a time
     last_task: str = ""  # what may keep it longer than others when it is asked to end
     last_task_s: float = 0.0  # how much longer
+    tells_progress: bool = False  # in its last task it says that it goes on: so much longer after each line
     if_killed: str = ""  # what it means if it does not end in time
 
 
@@ -54,6 +56,7 @@ KINDS = {
         turn=2,  # after the others, so that the record holds their last words
         last_task="write the end of the record",  # at low priority
         last_task_s=20.0,
+        tells_progress=True,
         if_killed="the record may lack its end",
     ),
     ROUTER: PartKind(answers=True, turn=3),
@@ -125,6 +128,7 @@ class Child:
         self.kind = kind
         self.words = words
         self.killed = False  # on purpose: then its end is not reported
+        self.heard_s = -math.inf  # when it printed its last line, by the monotonic clock
         self._inbox = inbox
         self._answer = Inbox()
         self._awaited = kind.answers
@@ -210,6 +214,7 @@ class Child:
                     self._said(text, pipe is self._process.stdout)
 
     def _said(self, line: str, on_stdout: bool) -> None:
+        self.heard_s = time.monotonic()
         if on_stdout and self._awaited:
             self._awaited = False
             self._answer.put(line)
@@ -335,8 +340,12 @@ def _await_last_task(child: Child) -> bool:
     """Give a part more time to end, and say what for; returns whether it has ended."""
     print(f"waiting for the {child.part} to {child.kind.last_task}", file=sys.stderr)
     child.signal(signal.SIGTERM)  # the first one may have come while it started, and been lost
-    if child.wait(child.kind.last_task_s):
-        return True
+    deadline = time.monotonic() + child.kind.last_task_s
+    while (left_s := deadline - time.monotonic()) > 0.0:
+        if child.wait(left_s):
+            return True
+        if child.kind.tells_progress:
+            deadline = child.heard_s + child.kind.last_task_s
     print(f"warning: the {child.part} hangs and is killed: {child.kind.if_killed}", file=sys.stderr)
     ask_for_stacks(child.pid)
     return child.wait(STACKS_S)

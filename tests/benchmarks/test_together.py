@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from benchmarks.rows import read
-from benchmarks.together import ROWS, Cell, Flown, cells_of, first_of, table
+from benchmarks.together import ROWS, Cell, Flown, cells_of, first_of, fly, table
 
 ROOT = Path(__file__).parents[2]
 
@@ -39,6 +39,14 @@ def test_a_share_is_of_the_same_seeds() -> None:
 
 def test_who_is_alone_is_flown_once_for_all_fleets_and_from_an_edge_not_at_all() -> None:
     cells = cells_of(["homing"], 3)
-    assert len(cells) == len(set(cells)) == 13
+    assert len(cells) == len(set(cells)) == 22
     assert Cell("homing", "corners", 3, "alone") in cells
     assert not [cell for cell in cells if cell.how == "alone" and "edge" in cell]
+
+
+def test_a_fleet_that_is_told_where_the_source_is_needs_fewer_moves_than_one_that_searches() -> None:
+    searching, told = [Cell("homing", "corners", 2, how) for how in ("together", "told")]
+    rows = [row for seed in range(1, 6) for row in fly(seed, [searching, told])]
+    moves = {cell: sum(row.moves for row in rows if row.cell == cell) for cell in (searching, told)}
+    assert all(row.ceased and not row.false_stop for row in rows)
+    assert 0.5 * moves[searching] < moves[told] < moves[searching]

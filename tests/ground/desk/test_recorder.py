@@ -31,6 +31,25 @@ def test_a_recorder_that_is_told_to_end_before_it_begins_writes_what_was_said(
     assert [entry.payload for entry in recording.entries] == [b"said"]
 
 
+def test_once_told_to_end_it_says_how_much_is_left_to_write(
+    router: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(recorder, "LEFT_S", 0.0)
+    with Tap("recorder", router) as tap, Bus("estimator", router) as estimator:
+        tap.subscribe(BELIEF)
+        tap.settle(30.0)
+        for number in range(3):
+            estimator.publish(BELIEF, b"%d" % number)
+        estimator.settle(30.0)
+        recorder.record(tap, Writer(tmp_path / "run.mcap", {}), [signal.SIGTERM], RecordedScene({}, "uav/1"))
+    told = [
+        line.strip('"').rpartition(" ")[2]
+        for line in capsys.readouterr().err.splitlines()
+        if "left to write" in line
+    ]
+    assert told == ["3", "2", "1"]
+
+
 def recorded(path: Path, router: str, *flags: str) -> int:
     return cli.start(
         "record", cli.Command("ground.desk.recorder", ""), [str(path), "--connect", router, *flags]
