@@ -18,7 +18,7 @@ INSIDE_M = 0.05  # a reading is taken at least this far inside the area's edge
 IGNORED_M = 0.5  # a target that the autopilot reads back this far from the setpoint is not the setpoint
 IGNORED_S = 5.0  # a setpoint that is not read back for this long is ignored
 # A setpoint is ignored only once it has been sent this many times: at a high speed-up a lost one is sent
-# again late, by the clock of the vehicle.
+# again late, by the clock of the vehicle, and whoever is held up sends none.
 COPIES = 5
 # It arrives once it has stayed this near to its target, no faster than this, for this long.
 RADIUS_M, SPEED_MPS, SETTLE_S = 0.3, 0.25, 0.3
@@ -59,7 +59,10 @@ class Course:
         self._config = config
         self.approach: Approach | None = None  # until the waypoint is reached
         self._sent_s = -math.inf
-        self._ignored_since_s = math.inf
+        self._unread_since_s, self._copies = (
+            0.0,
+            0,
+        )  # since when it is not read back, and how often sent since then
 
     def begin(self, wanted: Ned, *, answers: bool) -> Result | None:
         """Take a waypoint; returns why it is refused. `answers`: it answers a reading.
@@ -84,7 +87,7 @@ class Course:
         now_s = self.heard_s = self._commander.now_s
         if self.approach is None or answers or self.approach.target != self.waypoint:
             self.approach = Approach(self.waypoint, math.inf)
-            self._ignored_since_s = math.inf
+            self._unread_since_s, self._copies = now_s, 0
         self.approach.deadline_s = max(
             deadline_s(now_s, self._known.place, self.waypoint),
             now_s + 2 * COPIES * self._commander.patient(SEND_AGAIN_S),
@@ -112,6 +115,7 @@ class Course:
         if is_ardupilot and (self._known.custom_mode != flight.guided or flight.targets.has(place)):
             return  # PX4 wants them before it takes OFFBOARD
         self._sent_s = now_s
+        self._copies += 1
         flight.targets.send(place)
         self._commander.radio.send(
             mavlink.MAVLink_set_position_target_local_ned_message(
@@ -152,6 +156,6 @@ class Course:
         said_s = known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, -math.inf)
         reads_back = known.firmware.is_ardupilot and now_s - said_s <= known.stale_s
         taken = known.target and math.dist(known.target, known.in_ekf_frame(target)) <= IGNORED_M
-        self._ignored_since_s = min(self._ignored_since_s, now_s) if reads_back and not taken else math.inf
-        longest_s = max(IGNORED_S, COPIES * self._commander.patient(SEND_AGAIN_S))
-        return now_s - self._ignored_since_s > longest_s
+        if taken or not reads_back:
+            self._unread_since_s, self._copies = now_s, 0
+        return self._copies >= COPIES and now_s - self._unread_since_s > IGNORED_S

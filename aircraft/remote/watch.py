@@ -11,7 +11,8 @@ from aircraft.firmware import COMING_DOWN
 from aircraft.remote.procedures import Procedures
 from aircraft.state import LOW_BATTERY, VehicleFailed
 
-GIVEN_UP_S = 60.0  # a link that is lost for longer is given up
+# A link that is lost for longer is given up, by the vehicle's time and by real time.
+GIVEN_UP_S, GIVEN_UP_REAL_S = 60.0, 20.0
 UNKNOWN_S = 1.0  # a position that is unknown for longer is told
 BLIND_S = 10.0  # a vehicle that hovers without a position for longer, and does nothing about it, is landed
 # A glitch that lasts for longer ends the search; one that ArduPilot takes for the truth for half a minute
@@ -54,7 +55,7 @@ class Watch:
         elif self._lost_since_s == math.inf and self._flight.commander.system:
             self._lost_since_s = self._known.heard_s
             self._flight.say(CRITICAL, "Link lost: the autopilot's own failsafe is in charge; waiting for it")
-        elif self._known.armed and lost_s > self._flight.commander.patient(GIVEN_UP_S):
+        elif self._known.armed and lost_s > max(GIVEN_UP_S, GIVEN_UP_REAL_S * self._flight.commander.speedup):
             raise VehicleFailed(f"link lost for {lost_s:.0f} s: the autopilot's own failsafe is in charge")
 
     def _mode(self, now_s: float) -> None:

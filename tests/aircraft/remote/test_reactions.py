@@ -12,7 +12,8 @@ from aircraft.search.search import LANDED, PAUSED, RETURNING, Search
 from aircraft.state import VehicleFailed
 from link.modes import Mode
 from sitl.autopilot.config import VehicleConfig
-from tests.aircraft.remote.cockpit import Cockpit
+from tests.aircraft.remote.cockpit import STEPS, Cockpit
+from tests.autopilots.body import DT_S
 
 KINDS = ("ardupilot", "px4")
 both = pytest.mark.parametrize("kind", KINDS)
@@ -159,6 +160,29 @@ def test_setpoints_that_are_lost_at_a_high_speed_up_are_sent_again_and_do_not_en
     cockpit.radio.lost["SET_POSITION_TARGET_LOCAL_NED"] = 3
     cockpit.reads(4)
     assert not cockpit.vehicle.failure
+
+
+def test_a_setpoint_that_is_lost_while_the_program_is_held_up_is_sent_again_and_not_taken_for_ignored() -> (
+    None
+):
+    cockpit = searching("ardupilot")
+    before = len(cockpit.readings)
+    cockpit.radio.lost["SET_POSITION_TARGET_LOCAL_NED"] = 1
+    cockpit.until(lambda: not cockpit.radio.lost["SET_POSITION_TARGET_LOCAL_NED"])
+    cockpit.run(0.3)
+    for _ in range(100):  # 8 s in which the program does nothing
+        cockpit.radio.advance()
+        cockpit.now_s += STEPS * DT_S
+    cockpit.reads(before + 2)
+    assert not cockpit.vehicle.failure
+
+
+@pytest.mark.parametrize(("speedup", "gives_up_s"), [(1.0, 60.0), (10.0, 200.0)])
+def test_a_simulator_that_runs_fast_has_real_time_to_come_back(speedup: float, gives_up_s: float) -> None:
+    cockpit = Cockpit("ardupilot", "silence@#3", speedup=speedup)
+    with pytest.raises(VehicleFailed, match="link lost for") as failure:
+        cockpit.run(500.0)
+    assert abs(float(str(failure.value).split()[3]) - gives_up_s) < 3.0
 
 
 def test_targets_that_arducopter_ignores_silently_are_seen_in_what_it_reads_back() -> None:
