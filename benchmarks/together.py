@@ -2,6 +2,7 @@
 
     python -m benchmarks.together                              # the table of docs/fleet.md, from results/
     python -m benchmarks.together --fly --missions 100         # flies what the rows lack, and adds them
+    python -m benchmarks.together --wide                       # the same of an area of 150 m, from corners
 
 A fleet is compared with one vehicle from the same formation, and with one from a point, on the same seeds:
 the share of its moves, with a bootstrap interval over the pairs. `alone` flies each vehicle of a formation
@@ -12,7 +13,8 @@ how much of a search is that way, whatever the planner.
 
 import argparse
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,14 +38,16 @@ from link import cli
 from link.bus.mavlink import Reading
 from link.terminal import tell
 from plume.outcome import verdict
-from plume.problem import ALTITUDE_M, PAPER
+from plume.problem import ALTITUDE_M, PAPER, Area, Problem
 from plume.problems.fleet import FORMATIONS, Fleet, Place
 from plume.randomness import derived_seed, seed_of
 from plume.scenario import BUDGET_STEPS, draw
 from plume.worlds.world import World
 
-ROWS = Path("results/together/missions.csv")
+ROWS, OF_WIDE = Path("results/together/missions.csv"), Path("results/together/wide.csv")
 MOST = 4
+WIDE = Problem(area=Area((0, 0), (150, 150)), step_m=2.5, budget=1000)
+"""The plumes of Table 1 in an area that is far wider than they are."""
 
 
 class Cell(NamedTuple):
@@ -74,14 +78,18 @@ class Flown(msgspec.Struct, frozen=True):
         return Cell(self.policy, self.formation, self.vehicles, self.how)
 
 
-def fly(seed: int, cells: Sequence[Cell]) -> list[Flown]:
-    """Fly one seed in each of these cells."""
-    ways = {"together": _together, "alone": _alone, "told": _told}
+def fly(seed: int, cells: Sequence[Cell], problem: Problem = PAPER) -> list[Flown]:
+    """Fly one seed in each of these cells; only fleets that search together have another problem."""
+    ways: dict[str, Callable[[int, Cell], Flown]] = {
+        "together": partial(_together, problem=problem),
+        "told": _told,
+        "alone": _alone,
+    }
     return [ways[cell.how](seed, cell) for cell in cells]
 
 
-def _together(seed: int, cell: Cell) -> Flown:
-    result, _ = rollout(seed, cell.policy, vehicles=cell.vehicles, formation=cell.formation)
+def _together(seed: int, cell: Cell, problem: Problem) -> Flown:
+    result, _ = rollout(seed, cell.policy, problem=problem, vehicles=cell.vehicles, formation=cell.formation)
     false_stop = result.ceased and not result.located and not result.outside
     return Flown(*cell, seed, result.ceased, false_stop, result.steps, result.distance_m)
 
@@ -137,8 +145,10 @@ def first_of(own: Sequence[dict[int, Flown]]) -> dict[int, Flown]:
     return result
 
 
-def cells_of(policies: Sequence[str], most: int) -> list[Cell]:
+def cells_of(policies: Sequence[str], most: int, wide: bool = False) -> list[Cell]:
     """Return all cells. Vehicle 1 alone is a fleet of one; on an edge starts depend on how many there are."""
+    if wide:
+        return [Cell(policy, "corners", k + 1, "together") for policy in policies for k in range(most)]
     return [
         Cell(policy, formation, vehicles, how)
         for policy in policies
@@ -164,7 +174,8 @@ def table(rows: Sequence[Flown]) -> str:
 
     for cell in sorted((cell for cell in of_cell if cell.how == "together"), key=order):
         own, one = of_cell[cell], of_cell.get(cell._replace(vehicles=1), {})
-        at_a_point = of_cell.get(cell._replace(formation="point", vehicles=1), {})
+        # One alone from corners starts where one from a point does.
+        at_a_point = of_cell.get(cell._replace(formation="corners", vehicles=1), {})
         told = of_cell.get(cell._replace(how="told"), {})
         alone = [of_cell.get(cell._replace(vehicles=k, how="alone"), {}) for k in range(2, cell.vehicles + 1)]
         apart = first_of([one, *alone]) if alone else {}
@@ -204,21 +215,23 @@ def main() -> None:
     parser.add_argument("--policy", type=cli.listed(str), default=[DEFAULT], help="policies between commas")
     parser.add_argument("--vehicles", type=cli.whole(1, 8), default=MOST, help="largest fleet")
     parser.add_argument("--workers", type=cli.whole(1, 64), default=1)
-    parser.add_argument("--rows", type=Path, default=ROWS)
+    parser.add_argument("--wide", action="store_true", help="an area of 150 m")
+    parser.add_argument("--rows", type=Path, help=f"default: {ROWS}, {OF_WIDE}")
     args: Any = parser.parse_args()
+    rows_at = args.rows or (OF_WIDE if args.wide else ROWS)
     if args.fly:
-        done = {(row.cell, row.seed) for row in read(args.rows, Flown)}
-        cells = cells_of(args.policy, args.vehicles)
+        done = {(row.cell, row.seed) for row in read(rows_at, Flown)}
+        cells, problem = cells_of(args.policy, args.vehicles, args.wide), WIDE if args.wide else PAPER
         tasks = [
-            (seed, [cell for cell in cells if (cell, seed) not in done])
+            (seed, [cell for cell in cells if (cell, seed) not in done], problem)
             for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.missions)
         ]
         for _, rows in as_flown(_fly_task, tasks, args.workers):
-            append(rows, args.rows)
-    tell(table(read(args.rows, Flown)))
+            append(rows, rows_at)
+    tell(table(read(rows_at, Flown)))
 
 
-def _fly_task(task: tuple[int, Sequence[Cell]]) -> list[Flown]:
+def _fly_task(task: tuple[int, Sequence[Cell], Problem]) -> list[Flown]:
     return fly(*task)
 
 
