@@ -7,11 +7,12 @@
 A fleet is compared with one vehicle from the same formation, and with one from a point, on the same seeds:
 the share of its moves, with a bootstrap interval over the pairs. `alone` flies each vehicle of a formation
 with a belief of its own, as if the others were not there; the first to stop ends the search of all, and all
-have flown as many moves. `told` are fleets that know where the source is, and fly there by the shortest way:
-how much of a search is that way, whatever the planner.
+have flown as many moves. `told` are fleets that know where the source is, fly straight to it, and search from
+there: what no search needs less than, whatever its planner.
 """
 
 import argparse
+import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -24,7 +25,7 @@ import numpy as np
 from agent.planning.apart import Shared
 from agent.planning.moves import lengths
 from agent.policies import DEFAULT, choose, reach
-from agent.together import in_turn
+from agent.together import in_turn, seen_by
 from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.figures import bootstrap, wilson
 from agent.trials.rollout import prepared, rollout
@@ -46,8 +47,16 @@ from plume.worlds.world import World
 
 ROWS, OF_WIDE = Path("results/together/missions.csv"), Path("results/together/wide.csv")
 MOST = 4
+NEAR_M = 3.0
 WIDE = Problem(area=Area((0, 0), (150, 150)), step_m=2.5, budget=1000)
 """The plumes of Table 1 in an area that is far wider than they are."""
+
+
+HEADINGS = (
+    *("policy", "from", "vehicles", "missions", "not ceased", "moves together", "share of one"),
+    *("of one from a point", "if told", "metres in all", "moves alone", "share of one"),
+    *("false stops together", "alone"),
+)
 
 
 class Cell(NamedTuple):
@@ -95,24 +104,27 @@ def _together(seed: int, cell: Cell, problem: Problem) -> Flown:
 
 
 def _told(seed: int, cell: Cell) -> Flown:
-    """Fly a fleet of which each vehicle goes as near to the source as the others let it."""
+    """Fly a fleet of which each vehicle goes straight to the source, and searches within NEAR_M of it."""
     world, config = prepared(seed, PAPER, 1000, USUAL_THRESHOLD_M, assume="field")
     source, fleet = np.array(world.truth.source), Fleet(cell.vehicles, cell.formation)
-    rounds = Rounds(world, config, fleet.starts(world.start, seed))
-    places, within = rounds.places, reach(cell.policy)
+    rounds, agent_seed = Rounds(world, config, fleet.starts(world.start, seed)), derived_seed(seed, "agent")
+    flown, within = rounds.fly(rounds.places), reach(cell.policy)
 
     def decide(vehicle: int, free: Shared) -> Place:
-        moves = free.moves(rounds.places[vehicle])
+        place = rounds.places[vehicle]
+        if math.dist(place, source) <= NEAR_M:
+            seen = seen_by(flown.belief, place, flown.readings[vehicle].gas)
+            return choose(cell.policy, seen, flown.particles, seed_of(agent_seed, vehicle + 1), free)
+        moves = free.moves(place)
         x, y = moves[np.argmin(lengths(moves - source))].tolist()
         return x, y
 
-    for step in range(BUDGET_STEPS + 1):
-        said = rounds.fly(places).belief
-        if said.ceased or step == BUDGET_STEPS:
-            break
-        places = in_turn(within, rounds.places, fleet.separation_m, decide)
+    while not flown.belief.ceased and flown.belief.step < BUDGET_STEPS:
+        flown = rounds.fly(in_turn(within, rounds.places, fleet.separation_m, decide))
+    said = flown.belief
     ended = verdict(said.ceased, said.mean, world.truth.source, said.outside)
-    return Flown(*cell, seed, said.ceased, ended == "FALSE STOP", step, float(step * cell.vehicles))
+    metres = float(said.step * cell.vehicles)
+    return Flown(*cell, seed, said.ceased, ended == "FALSE STOP", said.step, metres)
 
 
 def _alone(seed: int, cell: Cell) -> Flown:
@@ -163,11 +175,7 @@ def table(rows: Sequence[Flown]) -> str:
     of_cell: dict[Cell, dict[int, Flown]] = defaultdict(dict)
     for row in rows:
         of_cell[row.cell][row.seed] = row
-    lines = [
-        "| policy | from | vehicles | missions | moves together | share of one | of one from a point "
-        "| if told | metres in all | moves alone | share of one | false stops together | alone |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    lines = [HEADINGS]
 
     def order(cell: Cell) -> tuple[str, int, int]:
         return cell.policy, [*FORMATIONS].index(cell.formation), cell.vehicles
@@ -180,14 +188,18 @@ def table(rows: Sequence[Flown]) -> str:
         alone = [of_cell.get(cell._replace(vehicles=k, how="alone"), {}) for k in range(2, cell.vehicles + 1)]
         apart = first_of([one, *alone]) if alone else {}
         metres = bootstrap(np.array([row.distance_m for row in own.values()])).text(1, 0)
-        cells = [
-            *(cell.policy, cell.formation, str(cell.vehicles), str(len(own))),
-            *(_moves(own), _share(own, one), _share(own, at_a_point), _share(told, at_a_point), metres),
-            *(_moves(apart), _share(apart, one)),
-            *(_false(own), _false(apart)),
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append(
+            (
+                *(cell.policy, cell.formation, str(cell.vehicles), f"{len(own):,}"),
+                *(str(sum(not row.ceased for row in own.values())), _moves(own)),
+                *(_share(own, one), _share(own, at_a_point), _share(told, at_a_point), metres),
+                *(_moves(apart), _share(apart, one)),
+                *(_false(own), _false(apart)),
+            )
+        )
+    said = [column for column in zip(*lines, strict=True) if any(column[1:])]
+    heading, *others = (f"| {' | '.join(cells)} |" for cells in zip(*said, strict=True))
+    return "\n".join([heading, "|---" * len(said) + "|", *others])
 
 
 def _moves(own: dict[int, Flown]) -> str:

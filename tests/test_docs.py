@@ -84,6 +84,7 @@ INSTEAD = {
     "python -m benchmarks.puffs": "python -m benchmarks.puffs --missions 2",
     "python -m benchmarks.sensors": "python -m benchmarks.sensors --missions 1",
     "python -m benchmarks.together --fly": "python -m benchmarks.together --fly --missions 1 --vehicles 2",
+    "python -m benchmarks.together --wide --fly": "python -m benchmarks.together --wide --fly --missions 1 --vehicles 2",
     "python -m benchmarks.load": "python -m benchmarks.load --vehicles 2 --missions 1",
     "python -m benchmarks.dwell": "python -m benchmarks.dwell --world as-modelled --missions 1",
     "python -m benchmarks.findings": "python -m benchmarks.findings --missions 1 --world as-modelled --workers 1 --results few",

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+import pytest
+
 from benchmarks.rows import read
-from benchmarks.together import ROWS, Cell, Flown, cells_of, first_of, fly, table
+from benchmarks.together import OF_WIDE, ROWS, Cell, Flown, cells_of, first_of, fly, table
 
 ROOT = Path(__file__).parents[2]
 
@@ -14,8 +16,19 @@ def row(
     return Flown("homing", "corners", vehicles, how, seed, ceased, false_stop, moves, float(moves * vehicles))
 
 
-def test_the_page_shows_the_table_of_the_rows() -> None:
-    assert table(read(ROOT / ROWS, Flown)) in (ROOT / "docs" / "fleet.md").read_text()
+@pytest.mark.parametrize("rows", [ROWS, OF_WIDE], ids=str)
+def test_the_page_shows_the_table_of_the_rows(rows: Path) -> None:
+    assert table(read(ROOT / rows, Flown)) in (ROOT / "docs" / "fleet.md").read_text()
+
+
+def test_what_was_not_flown_has_no_column() -> None:
+    heading, _, one = table(
+        [row(1, "together", 1, 40), row(1, "together", 2, 1000, ceased=False)]
+    ).splitlines()
+    assert heading.count("|") == one.count("|") == 11
+    assert "alone" not in heading
+    assert "told" not in heading
+    assert "| 2 | 1 | 520.0 " in one
 
 
 def test_the_first_to_stop_ends_the_search_of_vehicles_that_share_nothing() -> None:
