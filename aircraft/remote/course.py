@@ -59,10 +59,8 @@ class Course:
         self._config = config
         self.approach: Approach | None = None  # until the waypoint is reached
         self._sent_s = -math.inf
-        self._unread_since_s, self._copies = (
-            0.0,
-            0,
-        )  # since when it is not read back, and how often sent since then
+        # Since when the waypoint is not read back, and how often it has been sent since then.
+        self._unread_since_s, self._copies = 0.0, 0
 
     def begin(self, wanted: Ned, *, answers: bool) -> Result | None:
         """Take a waypoint; returns why it is refused. `answers`: it answers a reading.
