@@ -129,6 +129,7 @@ class Child:
         self.words = words
         self.killed = False  # on purpose: then its end is not reported
         self.heard_s = -math.inf  # when it printed its last line, by the monotonic clock
+        self.aloud = False  # its log lines are printed at once: nobody reads the inbox any more
         self._inbox = inbox
         self._answer = Inbox()
         self._awaited = kind.answers
@@ -224,6 +225,8 @@ class Child:
             self._lines(LogLine(self.part, f"{self.part}: {line}", "info"), len(line))
         else:
             level, self._last_words = log.parse(line)
+            if self.aloud:
+                print(f"{self.part}: {self._last_words}", file=sys.stderr)
             self._lines(LogLine(self.part, self._last_words, level), len(line))
 
 
@@ -339,6 +342,7 @@ def _end(children: list[Child]) -> None:
 def _await_last_task(child: Child) -> bool:
     """Give a part more time to end, and say what for; returns whether it has ended."""
     print(f"waiting for the {child.part} to {child.kind.last_task}", file=sys.stderr)
+    child.aloud = child.kind.tells_progress
     child.signal(signal.SIGTERM)  # the first one may have come while it started, and been lost
     deadline = time.monotonic() + child.kind.last_task_s
     while (left_s := deadline - time.monotonic()) > 0.0:

@@ -197,7 +197,9 @@ time.sleep(600)
     launched.processes.answer(launched.processes.start("recorder", TOLD, source, kind=kind))
     launched.processes.stop()
     assert record.exists() is speaks
-    assert ("is killed" in capsys.readouterr().err) is not speaks
+    told = capsys.readouterr().err
+    assert ("is killed" in told) is not speaks
+    assert ("recorder: left\n" in told) is speaks
 
 
 FLIES = """
