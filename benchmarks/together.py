@@ -8,7 +8,7 @@ A fleet is compared with one vehicle from the same formation, and with one from 
 the share of its moves, with a bootstrap interval over the pairs. `alone` flies each vehicle of a formation
 with a belief of its own, as if the others were not there; the first to stop ends the search of all, and all
 have flown as many moves. `told` are fleets that know where the source is, fly straight to it, and search from
-there: what no search needs less than, whatever its planner.
+there: the way, and the readings that the stop wants.
 """
 
 import argparse

@@ -170,24 +170,20 @@ time.sleep(600)
     assert told == "waiting for the recorder to write the end of the record\n" + warning * hangs
 
 
-@pytest.mark.parametrize("speaks", [True, False])
 def test_a_recorder_that_says_that_it_goes_on_is_waited_for(
-    launched: Launched,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    speaks: bool,
+    launched: Launched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """It takes longer than its time, but is never as long without a word, also on a busy machine."""
     monkeypatch.setattr(module, "STOP_TIMEOUT_S", 0.1)
-    kind = replace(KINDS[RECORDER], last_task_s=4.0)
+    kind = replace(KINDS[RECORDER], last_task_s=10.0)
     record = tmp_path / "record"
     source = f"""
 import pathlib, signal, sys, time
 def write(*_):
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    for _ in range(12):
+    for _ in range(22):
         time.sleep(0.5)
-        print("left" * {speaks}, file=sys.stderr, flush=True)
+        print("left", file=sys.stderr, flush=True)
     pathlib.Path({str(record)!r}).write_text("whole")
     raise SystemExit
 signal.signal(signal.SIGTERM, write)
@@ -196,10 +192,10 @@ time.sleep(600)
 """
     launched.processes.answer(launched.processes.start("recorder", TOLD, source, kind=kind))
     launched.processes.stop()
-    assert record.exists() is speaks
+    assert record.exists()
     told = capsys.readouterr().err
-    assert ("is killed" in told) is not speaks
-    assert ("recorder: left\n" in told) is speaks
+    assert "is killed" not in told
+    assert "recorder: left\n" in told
 
 
 FLIES = """
