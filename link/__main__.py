@@ -1,9 +1,9 @@
 """`python -m link certs DIR`: makes certificates for --secure."""
 
 if __name__ == "__main__":  # here, because the modules below take long to load
-    from link.early import end_at_once
+    from link.early import begin
 
-    end_at_once()
+    begin()
 
 from link import certs, cli
 

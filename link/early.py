@@ -27,6 +27,13 @@ def end_at_once() -> None:
         signal.signal(number, lambda *_: os._exit(INTERRUPTED))
 
 
+def begin() -> None:
+    """Begin a command of ours, before it loads anything."""
+    end_at_once()
+    # Else NumPy's BLAS starts a thread for each core, in every part of a mission, and none has work for it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 def tell_stacks() -> None:
     """Let this process write its stacks on `STACKS`, whatever it does then."""
     faulthandler.register(STACKS, file=2, all_threads=True, chain=False)

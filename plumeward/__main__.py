@@ -2,12 +2,12 @@
 
 import os
 
-from link.early import end_at_once
+from link.early import begin
 
 
 def command() -> None:
     """Run as `plumeward`, the command that an install gives."""
-    end_at_once()
+    begin()
     from link import cli
     from plumeward.commands import main
 

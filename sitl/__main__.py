@@ -1,9 +1,9 @@
 """`python -m sitl`: fly or replay a mission, look into its log, or run one part alone."""
 
 if __name__ == "__main__":  # here, because the modules below take long to load
-    from link.early import end_at_once
+    from link.early import begin
 
-    end_at_once()
+    begin()
 
 import sys
 

@@ -42,6 +42,14 @@ def inverse(x):
 def factorial(n):
     return 1 if n < 2 else n * factorial(n - 1)
 """
+LATE = """
+from plume.compiled import kernel
+from tiny.loops import said
+
+@kernel("float64(float64)", error_model="numpy")
+def twice(x):
+    return 2 * said(x)
+"""
 CODE = """
 from tiny.loops import factorial, inverse, said
 hits = sum(sum(each.stats.cache_hits.values()) for each in (factorial, inverse, said))
@@ -119,6 +127,15 @@ def test_a_kept_kernel_is_loaded_without_what_only_compiling_needs(tmp_path: Pat
         ["0", "True"],
         ["3", "False"],
     ]
+
+
+@pytest.mark.slow
+def test_a_kernel_may_call_one_that_was_kept(tmp_path: Path) -> None:
+    write(tmp_path)
+    (tmp_path / "tiny" / "late.py").write_text(LATE)
+    assert run(tmp_path) == (USUAL, 0)
+    out, _ = start(tmp_path, "from tiny.late import twice; print(twice(2.0))\n").communicate(timeout=300)
+    assert out.split() == ["18.0", *USUAL, "3"]
 
 
 def test_a_change_of_a_table_is_seen(tmp_path: Path) -> None:
