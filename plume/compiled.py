@@ -62,8 +62,8 @@ class KeptLibrary(JITCodeLibrary):
     @classmethod
     def _unserialize(cls, codegen: Any, state: Any) -> "KeptLibrary":
         name, _, (code, bitcode) = state
-        self = cls(codegen, name)  # type: ignore[no-untyped-call]
-        self.enable_object_caching()
+        self = cls(codegen, name)
+        self.enable_object_caching()  # type: ignore[no-untyped-call]
         self._set_compiled_object(code)  # type: ignore[no-untyped-call]
         self._bitcode = bitcode
         self._finalize_final_module()  # type: ignore[no-untyped-call]
