@@ -74,6 +74,7 @@ INSTEAD = {
     "make results": "make results POLICIES=greedy BOARD=greedy LEARNED=ppo FLAGS='--scenarios 2'",
     "make mismatch": "make mismatch FLAGS='--missions 1 --policy homing --assume paper --world as-modelled'",
     "make chaos": "make chaos FLAGS='--missions 1 --first-seed 5 --json'",
+    "python -m tests.system.bits": "python -m tests.system.bits golden",  # tests/system/test_same_bits.py prints all
     "make golden": "python -c 'from tests.golden.__main__ import renew; print(renew(\"greedy-hits\"))'",
     "python benchmarks/floor.py": "python benchmarks/floor.py --missions 2 --threshold 0.9",
     "python benchmarks/floor.py --fly": "python benchmarks/floor.py --missions 2 --threshold 0.9 --fly",

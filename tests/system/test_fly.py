@@ -19,8 +19,6 @@ from tests.system.conftest import Part
 from tests.system.live import run_sitl
 
 PARTS = ["router", "uav", "estimator", "agent"]
-COMPILES_S = 1500
-"""Longest time in which a busy machine compiles the kernels twice at once."""
 LONG = ("sitl", "fly", "--policy", "random", "--speedup", "4")  # 300 moves take 87 s at this speed-up
 M_PER_DEGREE = 6_371_000 * math.pi / 180  # to the north
 
@@ -135,37 +133,6 @@ def test_its_findings_say_the_same_as_its_result_and_where_on_earth_that_is(to_t
     assert low < result["rate_gs"] < high
     assert low < result["scenario"]["q"] < high
     assert {"_deg", "_gs", "_m2"} <= {ending.removeprefix("*") for ending in result["units"]}
-
-
-@pytest.mark.full
-@pytest.mark.timeout(2 * COMPILES_S)
-def test_the_first_flight_says_once_that_it_compiles(
-    start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(
-        "NUMBA_CACHE_DIR", str(tmp_path / "kernels")
-    )  # empty; estimator and agent compile at the same time
-    brief = (
-        "sitl",
-        "fly",
-        "--policy",
-        "infotaxis",
-        "--budget",
-        "1",
-        "--speedup",
-        "0",
-        "--no-record",
-        "--patience",
-        f"{COMPILES_S}",
-    )
-    for expected in (1, 0):
-        mission = start(*brief, cwd=tmp_path)
-        assert mission.ended(COMPILES_S) == 0
-        before = mission.err[
-            : next(number for number, line in enumerate(mission.err) if line.startswith("mission: "))
-        ]
-        assert sum("compiling kernels" in line for line in mission.err) == expected
-        assert sum(line == "compiling kernels, once, 15 to 60 s\n" for line in before) == expected
 
 
 @pytest.mark.full

@@ -295,12 +295,17 @@ def test_the_wheel_flies_a_shipped_policy_in_a_fresh_environment(
 ) -> None:
     installed = install(version)
     fly = "plumeward fly --policy ppo --seed 7 --speedup 0 --patience 1500 --json --trace"  # kernels compile on a busy machine
-    flown = outcome(installed(tmp_path, *fly.split()))
+    first = installed(tmp_path, *fly.split())
+    flown = outcome(first)
     assert (flown["steps"], flown["ceased"], flown["located"]) == (in_process["steps"], True, True)
     assert flown["estimate"] == pytest.approx(in_process["estimate"], abs=1e-4)
     assert flown["distance_m"] == pytest.approx(in_process["distance_m"])
+    said, _, progress = first.stderr.partition("mission: ")  # kernels that were not given are compiled
+    assert ("compiling kernels, once, 15 to 60 s\n" in said, "compiling" in progress) == (True, False)
     if version == OWN:
         assert flown == in_process
+        second = installed(tmp_path, *fly.split())
+        assert (outcome(second), "compiling" in second.stderr) == (flown, False)
 
     where = (
         f"import {', '.join(PACKAGES)}; "
