@@ -20,7 +20,7 @@ from estimator.kernels.densities import (
     reading_densities,
 )
 from plume.compiled import kernel, subroutine
-from plume.draws import key_of, uniform, word_at
+from plume.draws import key_of, normals, uniform, word_at
 from plume.elementary import Array, Indices
 from plume.kernels import NOISES, derive, is_plain
 from plume.numerics import direction, dot, exp, log, log1p, total_of
@@ -30,9 +30,10 @@ EVERYTHING, PLACE, REST = 0, 1, 2  # what a proposal changes: all unknowns, thos
 FREEDOM = 4.0  # degrees of freedom of independent proposals: their tails are heavier than a posterior's
 TINY = 1e-12  # a variance that keeps a collapsed cloud's covariance regular, m²
 BLOCK = 256  # proposals that are judged together: their arrays stay in the processor's first-level cache
-# Accepted moves for each particle after which further sweeps would hardly change the cloud: of the place
-# alone, and of more unknowns.
-ENOUGH, ENOUGH_OF_MORE = 0.5, 2.0
+# Accepted moves for each particle after which further sweeps would hardly change the cloud: where only the
+# place is unknown; else independent draws, and those of more than three unknowns; steps, and steps alone.
+ENOUGH_PLACES, ENOUGH_DRAWS, ENOUGH_DRAWS_OF_MANY = 0.5, 0.8, 0.4
+ENOUGH_STEPS, ENOUGH_STEPS_ALONE = 1.0, 2.0
 
 
 class Block(NamedTuple):
@@ -49,6 +50,12 @@ class Block(NamedTuple):
 @subroutine
 def _is_moved(unknown: int, block: int) -> bool:
     return block == EVERYTHING or (unknown <= Y) == (block == PLACE)
+
+
+@subroutine
+def _is_circle(unknown: int, model: Model) -> bool:
+    """True of a wind direction that may be any: steps across north are steps."""
+    return bool(unknown == PHI and model.priors[PHI, 4] - model.priors[PHI, 3] == 2 * math.pi)
 
 
 @subroutine
@@ -86,14 +93,14 @@ def _propose_steps(
         for i in range(count):
             noise = 0.17 * (uniform(key, first + i) - 0.5)
             proposals[row, i] = scales[i] * (pool[row, ones[i]] - pool[row, others[i]]) + noise * std
-        low, high = model.priors[unknown, 3], model.priors[unknown, 4]
+        low = model.priors[unknown, 3]
         if model.priors[unknown, 0] == LOGNORMAL:
             for i in range(count):
                 proposals[row, i] = particles[row, i] * exp(proposals[row, i])
         else:
             for i in range(count):
                 proposals[row, i] += particles[row, i]
-            if unknown == PHI and high - low == 2 * math.pi:
+            if _is_circle(unknown, model):
                 for i in range(count):
                     proposals[row, i] = low + (proposals[row, i] - low) % (2 * math.pi)
 
@@ -122,6 +129,71 @@ def _propose_places(particles: Array, key: np.uint64, proposals: Array, needed: 
         one = dx[i] * inverse_a
         two = (dy[i] - b * one) * inverse_c
         needed[i] += 0.5 * (FREEDOM + 2) * log((FREEDOM + one * one + two * two) / (FREEDOM + square))
+
+
+@subroutine
+def _propose_draws(
+    particles: Array, pool: Array, model: Model, key: np.uint64, proposals: Array, needed: Array
+) -> None:
+    """Fill `proposals` (D, N) with independent draws of all unknowns: Student's t with the pool's mean and
+    covariance.
+
+    Log-normal unknowns are drawn in their logarithm. `needed` takes in the ratio of the proposal's densities.
+    """
+    rows, count = pool.shape
+    means, offsets, lower = np.empty(rows), np.empty((rows, count)), np.zeros((rows, rows))
+    for row in range(rows):
+        means[row] = total_of(pool[row]) / count
+        for i in range(count):
+            offsets[row, i] = pool[row, i] - means[row]
+    for row in range(rows):  # Cholesky's factor of the covariance
+        for column in range(row + 1):
+            covariance = dot(offsets[row], offsets[column]) / count
+            rest = covariance
+            for other in range(column):
+                rest -= lower[row, other] * lower[column, other]
+            if row == column:
+                lower[row, row] = math.sqrt(max(rest, 1e-6 * covariance + TINY))
+            else:
+                lower[row, column] = rest / lower[column, column]
+    here, there, stretch, draws = (
+        np.zeros(count),
+        np.zeros(count),
+        np.empty(count),
+        np.empty((rows + 1, count)),
+    )
+    for i in range(count):
+        stretch[i] = math.sqrt(-0.5 * FREEDOM / (log(uniform(key, 2 * i)) + log(uniform(key, 2 * i + 1))))
+    for row in range(0, rows, 2):
+        first = (2 + row) * count
+        for i in range(count):
+            draws[row, i], draws[row + 1, i] = normals(key, first + 2 * i)
+    for row in range(rows):
+        logarithmic = model.priors[model.unknowns[row], 0] == LOGNORMAL
+        for i in range(count):
+            draws[row, i] *= stretch[i]
+            there[i] += draws[row, i] * draws[row, i]
+            proposals[row, i] = means[row]
+        for column in range(row + 1):
+            factor = lower[row, column]
+            for i in range(count):
+                proposals[row, i] += factor * draws[column, i]
+        whitened, inverse = offsets[row], 1 / lower[row, row]
+        for i in range(count):
+            value = particles[row, i]
+            whitened[i] = (log(value) if logarithmic else value) - means[row]
+        for column in range(row):
+            factor, other_row = lower[row, column], offsets[column]
+            for i in range(count):
+                whitened[i] -= factor * other_row[i]
+        for i in range(count):
+            whitened[i] *= inverse
+            here[i] += whitened[i] * whitened[i]
+        if logarithmic:
+            for i in range(count):
+                proposals[row, i] = exp(proposals[row, i])
+    for i in range(count):
+        needed[i] += 0.5 * (FREEDOM + rows) * log((FREEDOM + here[i]) / (FREEDOM + there[i]))
 
 
 @subroutine
@@ -259,7 +331,7 @@ def move(
 ) -> int:
     """Move the particles (D, N) by Metropolis–Hastings sweeps.
 
-    They leave the posterior given all readings (T, 7) invariant. They end when ENOUGH moves have been
+    They leave the posterior given all readings (T, 7) invariant. They end when enough moves have been
     accepted, or after `sweeps`. Random numbers are keyed by the seed, the number of readings and the stage.
     log_targets: (N,) log posterior density of each particle up to a constant.  Returns the number of accepted
     moves.
@@ -272,19 +344,29 @@ def move(
         if model.priors[unknowns[row], 0] == LOGNORMAL:
             for i in range(count):
                 pool[row, i] = log(pool[row, i])
-    accepted, enough = 0, ENOUGH if only_place else ENOUGH_OF_MORE
+    accepted, done, circle = 0, 0.0, False
+    for unknown in unknowns:
+        circle = circle or _is_circle(unknown, model)
+    in_blocks = rows > 3 and unknowns[0] <= Y
+    enough_draws = ENOUGH_DRAWS if rows <= 3 else ENOUGH_DRAWS_OF_MANY
+    enough_steps = ENOUGH_PLACES if only_place else ENOUGH_STEPS_ALONE if circle else ENOUGH_STEPS
     for sweep in range(sweeps):
         key = key_of(seed, step, stage, 2 * sweep + 2)
         for i in range(count):
             needed[i] = log_targets[i] + log(uniform(key, i))
         key = key_of(seed, step, stage, 2 * sweep + 1)
+        draws = not (only_place or circle) and sweep % 3 == 0
         if only_place and sweep == 0:
             _propose_places(particles, key, proposals, needed)
+        elif draws:
+            _propose_draws(particles, pool, model, key, proposals, needed)
         else:
-            block = sweep % 3 if rows > 3 and unknowns[0] <= Y else EVERYTHING
+            block = sweep % 3 if in_blocks else EVERYTHING
             _propose_steps(particles, pool, model, block, key, proposals)
         _refuse_outside(proposals, model, needed)
-        accepted += _accept(particles, log_targets, proposals, needed, readings, model)
-        if accepted >= enough * count:
+        moved = _accept(particles, log_targets, proposals, needed, readings, model)
+        accepted += moved
+        done += moved / (enough_draws if draws else enough_steps)
+        if done >= count and not draws:  # draws leave most particles where they are: steps follow
             break
     return accepted

@@ -210,13 +210,15 @@ def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: S
     proposals, said = start.copy(), np.full(count, -1e300)
     move(proposals, said, *how)
     needed = targets + np.log(first_uniforms(SEED, len(readings) - 1, 0, 2, count))
-    if (
-        config.unknowns == ("x", "y")
-    ):  # proposals that do not depend on the particle: Student's t with 4 degrees of freedom, density (1 + r²/4)^-3
-        precision = np.linalg.inv(np.cov(start, ddof=0))
-        for sign, places in ((1, proposals), (-1, start)):
-            off = places - start.mean(axis=1)[:, None]
-            needed += sign * -3 * np.log(1 + np.einsum("in,ij,jn->n", off, precision, off) / 4)
+    # Proposals do not depend on the particle: Student's t with 4 degrees of freedom, of log-normal unknowns
+    # in their logarithm. Its density is (1 + r²/4)^−(4 + D)/2.
+    logs = [isinstance(config.effective_priors.get(name), LogNormal) for name in config.unknowns]
+    here, there = (np.where(np.array(logs)[:, None], np.log(places), places) for places in (start, proposals))
+    precision = np.linalg.inv(np.cov(here, ddof=0).reshape(len(logs), -1))
+    for sign, places in ((1, there), (-1, here)):
+        off = places - here.mean(axis=1)[:, None]
+        density = np.log(1 + np.einsum("in,ij,jn->n", off, precision, off) / 4)
+        needed += sign * -0.5 * (4 + len(logs)) * density
     left = (proposals == start).all(axis=0)  # outside the support
     wanted = (targets_of(proposals, config, readings) >= needed) & ~left
     particles, carried = start.copy(), targets.copy()

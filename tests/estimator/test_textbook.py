@@ -102,18 +102,23 @@ class Textbook:
         self.log_weights = np.zeros(COUNT)
 
     def move(self, step: int, stage: int) -> None:
-        pool, accepted = self.particles.copy(), 0
+        pool, done = self.particles.copy(), 0.0
         for sweep in range(self.config.sweeps):
-            now, stream = self.particles, 2 * sweep + 1
+            now, stream, enough = self.particles, 2 * sweep + 1, 1.0
+            if len(now) == 2:
+                enough = 0.5
             if sweep == 0 and len(now) == 2:
                 proposals, correction = self.places(step, stage, stream)
+            elif sweep % 3 == 0 and len(now) > 2:
+                enough = 0.8
+                proposals, correction = self.draws(pool, step, stage, stream)
             else:
                 proposals, correction = self.steps(pool, step, stage, stream), 0.0
             chance = np.log(uniforms(step, stage, stream + 1, 0, COUNT))
             good = self.log_target(proposals) >= self.log_target(now) + chance + correction
             self.particles = np.where(good, proposals, now)
-            accepted += int(good.sum())
-            if accepted >= (0.5 if len(now) == 2 else 2.0) * COUNT:
+            done += int(good.sum()) / enough
+            if done >= COUNT and (sweep % 3 or len(now) == 2):
                 break
 
     def places(self, step: int, stage: int, stream: int) -> tuple[Array, Array]:
@@ -125,6 +130,22 @@ class Textbook:
         off = self.particles - mean[:, None]
         here = np.einsum("in,ij,jn->n", off, np.linalg.inv(covariance), off)
         return mean[:, None] + np.linalg.cholesky(covariance) @ circle, 3 * np.log((4 + here) / (4 + square))
+
+    def draws(self, pool: Array, step: int, stage: int, stream: int) -> tuple[Array, Array]:
+        """The same for all unknowns, of a rate in logs: a normal draw over the root of a chi-square."""
+        pool, now = pool.copy(), self.particles.copy()
+        pool[2:], now[2:] = np.log(pool[2:]), np.log(now[2:])
+        chance = uniforms(step, stage, stream, 0, 6 * COUNT)
+        stretch = np.sqrt(4 / (-2 * np.log(chance[: 2 * COUNT]).reshape(-1, 2).sum(axis=1)))
+        pairs = chance[2 * COUNT :].reshape(2, COUNT, 2)
+        radius, angle = np.sqrt(-2 * np.log(pairs[:, :, 0])), 2 * np.pi * pairs[:, :, 1]
+        normal = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1).reshape(4, COUNT)[:3]
+        mean, root = pool.mean(axis=1)[:, None], np.linalg.cholesky(np.cov(pool, ddof=0))
+        here, there = np.linalg.solve(root, now - mean), normal * stretch
+        proposals = mean + root @ there
+        proposals[2:] = np.exp(proposals[2:])
+        squares = (here * here).sum(axis=0), (there * there).sum(axis=0)
+        return proposals, 3.5 * np.log((4 + squares[0]) / (4 + squares[1]))
 
     def steps(self, pool: Array, step: int, stage: int, stream: int) -> Array:
         """Differential evolution: scaled differences of two particles, and some noise; of a rate in logs."""
