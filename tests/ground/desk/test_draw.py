@@ -19,7 +19,7 @@ from scene.scene import Measurement
 from sitl.__main__ import main
 
 RECORD = Path(__file__).parents[2] / "golden" / "homing-gaussian-field.mcap"
-"""32 readings."""
+"""30 readings."""
 
 
 def drawn(*words: str) -> int:
@@ -68,7 +68,7 @@ def test_an_animation_has_a_frame_for_each_reading_and_needs_no_picture(log: Pat
     assert drawn(str(log), "--gif", str(log.with_name("a.gif"))) == 0
     assert {path.name for path in log.parent.iterdir()} == {"log.mcap", "a.gif"}
     with Image.open(log.with_name("a.gif")) as gif:
-        assert (gif.n_frames, gif.size) == (32, (960, 540))
+        assert (gif.n_frames, gif.size) == (30, (960, 540))
 
 
 def test_an_interrupt_leaves_what_was_there_and_nothing_half_written(
@@ -89,7 +89,7 @@ def test_an_interrupt_leaves_what_was_there_and_nothing_half_written(
 @pytest.mark.parametrize(
     ("words", "error"),
     [
-        (["--at", "40"], "error: --at: 40 is not allowed; wanted steps of the log, 0 to 31\n"),
+        (["--at", "40"], "error: --at: 40 is not allowed; wanted steps of the log, 0 to 29\n"),
         (["--at", "1,2,3,4,5,6"], "error: --at: 6 steps are not allowed; wanted at most 5\n"),
         (
             ["--gif", "/proc/a.gif"],
