@@ -213,7 +213,9 @@ def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: S
     # Proposals do not depend on the particle: Student's t with 4 degrees of freedom, of log-normal unknowns
     # in their logarithm. Its density is (1 + r²/4)^−(4 + D)/2.
     logs = [isinstance(config.effective_priors.get(name), LogNormal) for name in config.unknowns]
-    here, there = (np.where(np.array(logs)[:, None], np.log(places), places) for places in (start, proposals))
+    here, there = start.copy(), proposals.copy()
+    for places in (here, there):
+        places[logs] = np.log(places[logs])
     precision = np.linalg.inv(np.cov(here, ddof=0).reshape(len(logs), -1))
     for sign, places in ((1, there), (-1, here)):
         off = places - here.mean(axis=1)[:, None]
