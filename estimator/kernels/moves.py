@@ -54,7 +54,7 @@ def _is_moved(unknown: int, block: int) -> bool:
 
 @subroutine
 def _is_circle(unknown: int, model: Model) -> bool:
-    """True of a wind direction that may be any: steps across north are steps."""
+    """True of a wind direction that may be any: a step may cross the end of its range."""
     return bool(unknown == PHI and model.priors[PHI, 4] - model.priors[PHI, 3] == 2 * math.pi)
 
 
