@@ -60,7 +60,7 @@ def standard_normal(rng: np.random.Generator, size: int) -> Array:
     return np.where(np.abs(drawn) > EXACT_WITHIN, np.rint(drawn * 2.0**30) / 2.0**30, drawn)
 
 
-def standard_gamma(rng: np.random.Generator, shape: Array | float, size: int) -> Array:
+def standard_gamma(rng: "np.random.Generator | Alike", shape: Array | float, size: int) -> Array:
     """Draw gamma variables of scale 1, float32 values.
 
     How NumPy rounds them depends on the compiler that built it.
@@ -124,7 +124,40 @@ class Abreast:
         return np.array(self._drawn(lambda generator, number: generator.poisson(lam[number])), np.int64)
 
 
-Draws = np.random.Generator | Abreast  # a source of noise
+class Alike:
+    """A generator for arrays (A, K) whose rows share their random numbers: each row is as if drawn alone.
+
+    After counts, which take as many random numbers as they need, it gives counts alone.
+    """
+
+    def __init__(self, bits: np.random.Philox, rows: int) -> None:
+        """Take the generator's bits: the draws of each of the `rows` go on from there."""
+        self._bits, self._generator = bits, np.random.Generator(bits)
+        self._states = [bits.state] * rows
+
+    def standard_normal(self, size: tuple[int, ...], /) -> Array:
+        """(A, K) of N(0, 1)."""
+        return np.broadcast_to(self._generator.standard_normal(size[1:]), size)
+
+    def random(self, size: tuple[int, ...], /) -> Array:
+        """(A, K) of U[0, 1)."""
+        return np.broadcast_to(self._generator.random(size[1:]), size)
+
+    def standard_gamma(self, shape: Array, size: int, /) -> Array:
+        """(K,) gamma variables of these shapes (K,) and scale 1, for all rows."""
+        return self._generator.standard_gamma(shape, size)
+
+    def poisson(self, lam: Array, /) -> Indices:
+        """(A, K) Poisson counts with means `lam` (A, K)."""
+        counts = []
+        for row, means in enumerate(lam):
+            self._bits.state = self._states[row]
+            counts.append(self._generator.poisson(means))
+            self._states[row] = self._bits.state
+        return np.array(counts, np.int64)
+
+
+Draws = np.random.Generator | Abreast | Alike  # a source of noise
 
 
 def derived_seed(seed: int, purpose: str) -> int:

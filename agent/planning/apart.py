@@ -12,6 +12,7 @@ from plume.scenario import SEPARATION_M
 
 NOWHERE: Array = np.empty((0, 2))
 AWAY = 0.7  # m by which a way has to lead away for each metre of it: no more than 45° aside
+OF_REACH = tuple(each.name for each in fields(Reach))
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Shared(Reach):
 
         hovering: (H, 2) m where those have read that have left: each is at most a step from there.
         """
-        given = {each.name: getattr(reach, each.name) for each in fields(Reach)}
+        given = {name: getattr(reach, name) for name in OF_REACH}
         clear_m = separation_m + reach.step
         return cls(
             **given,

@@ -157,8 +157,8 @@ def _read(
     earlier, totals: (K, N) log-likelihoods of the earlier readings, relative to `totals` (K,); empty, if
     there are none.  later, later_totals: where to put those with this reading; empty, if nowhere. They may be
     the same arrays.
-    said: (2, K) where to put the log predictive density and the expected log-likelihood of all readings.
-    expected: (K, F).
+    said: (2, K) where to put the log predictive density and the expected log-likelihood of all readings, and
+    expected: (K, F) the expectations; (2, 0), if nobody asks for them.
     """
     rows = scratch.exponents
     quadratic, linear, constant, silent, offset = rows[0], rows[1], rows[2], rows[3], rows[4]
@@ -182,11 +182,13 @@ def _read(
             for i in range(count):
                 offset[i] = three[i] + earlier[k, i]
             three = offset
-        _reweight(one, two, three, z, own, weights, values, scratch.buffers, sums)
         if len(later) > 0:
             later_totals[k] = total
             for i in range(count):
                 later[k, i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
+        if said.shape[1] == 0:
+            continue
+        _reweight(one, two, three, z, own, weights, values, scratch.buffers, sums)
         said[0, k] = total + log(sums[0])
         said[1, k] = total + sums[1] / sums[0]
         for f in range(len(values)):
@@ -236,7 +238,8 @@ def imagine(
     gains_before = np.zeros(number)
     for step in range(first):
         earlier = before if step > 0 else none
-        last, nothing = np.empty((2, number)), np.empty((0, count))
+        is_last = step + 1 == first
+        last, nothing = np.empty((2, number if is_last else 0)), np.empty((0, count))
         _read(
             means_before[step],
             readings_before[step],
@@ -250,7 +253,8 @@ def imagine(
             last,
             np.empty((number, 0)),
         )
-        gains_before = last[1] - last[0]
+        if is_last:
+            gains_before = last[1] - last[0]
     for a in range(paths):
         for step in range(length):
             earlier, sums = (along, totals) if step > 0 else (before, totals_before)

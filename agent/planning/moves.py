@@ -1,7 +1,7 @@
 """The moves that a planner may choose from, and the meaning of a learned policy's actions."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Protocol
 
 import msgspec
@@ -122,10 +122,18 @@ class Reach:
         """Return where other vehicles take readings before this one, (F, 2) m: there are none."""
         return np.empty((0, 2))
 
-    @cached_property
+    @property
     def directions(self) -> Array:
         """Unit vectors (A, 2) of the headings."""
-        return np.stack(direction(np.arange(self.headings) / self.headings), axis=1)
+        return _directions(self.headings)
+
+
+@lru_cache(8)
+def _directions(headings: int) -> Array:
+    """Return the unit vectors of so many headings; nobody may write to them."""
+    found = np.stack(direction(np.arange(headings) / headings), axis=1)
+    found.flags.writeable = False
+    return found
 
 
 def lengths(vectors: Array) -> Array:

@@ -12,7 +12,7 @@ from plume.elementary import Array
 from plume.intermittency import SMALLEST_CV
 from plume.numerics import exp_each, log_each
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
-from plume.randomness import standard_gamma
+from plume.randomness import Alike, standard_gamma
 from plume.sensors.names import Sensor, parse, sensor_row
 from plume.sensors.response import settled_readings
 from plume.sensors.sensor import Gaussian
@@ -167,17 +167,15 @@ def imagine_along(
     strata = (np.arange(number) + rng.random()) / number * cumulative[-1]
     drawn = np.minimum(np.searchsorted(cumulative, strata, side="right"), len(cumulative) - 1)
     bits = np.random.Philox(int(rng.integers(2**63)))
+    own = noises[:, drawn]
 
     def draw(rows: Array) -> Array:
-        """Draw readings at places (L, N) in turn: (L, K)."""
-        generator = np.random.Generator(bits)
-        return np.array([_readings(sensor, row[drawn], noises[:, drawn], generator) for row in rows])
+        """Draw readings at places (L, A, N) in turn: (A, L, K)."""
+        alike = Alike(bits, rows.shape[1])
+        return np.array([_readings(sensor, at[:, drawn], own, alike) for at in rows]).transpose(1, 0, 2)
 
-    readings_before = draw(means_before).reshape(-1, number)
-    begin, readings = bits.state, np.empty((*paths.shape[:2], number))
-    for along, of_path in zip(means, readings, strict=True):
-        bits.state = begin
-        of_path[:] = draw(along)
+    readings_before = draw(means_before[:, None])[0] if len(before) else np.empty((0, number))
+    readings = np.ascontiguousarray(draw(means.transpose(1, 0, 2)))
     if values is None:
         values = np.empty((1, 1, 0, len(cumulative)))
     log_predictive, log_likelihood, expectations, gains_before = kernels.imagine(
@@ -195,8 +193,8 @@ def imagine_along(
     return Imagined(log_predictive, log_likelihood, expectations, means, noises, gains_before)
 
 
-def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Generator) -> Array:
-    """Draw a reading (K,) for each mean (K,), with its own noise factor and intermittency, (2, K)."""
+def _readings(sensor: Sensor, means: Array, noises: Array, rng: Alike) -> Array:
+    """Draw a reading for each mean (A, K). noises: (2, K) each one's noise factor and intermittency."""
     factors, cvs = noises
     gas = None
     if cvs.any():

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -83,6 +84,7 @@ def numbers(sensor: Sensor) -> dict[str, float]:
     return {field.name: getattr(sensor, field.name) for field in fields(sensor) if field.name not in left_out}
 
 
+@lru_cache(16)
 def parse(text: str) -> Sensor:
     """Read a sensor from `kind` or `kind:number,name=number…`, as on command lines. Raises ValueError.
 
