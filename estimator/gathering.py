@@ -9,6 +9,7 @@ late in those from its first on: its reading k belongs to the k-th of them.
 import math
 from collections import deque
 from collections.abc import Sequence
+from itertools import takewhile
 
 from link.bus.mavlink import Reading
 
@@ -41,13 +42,20 @@ class Gathering:
         self.counts[own] += 1
         self._waiting[own].append(reading)
 
+    def begun(self) -> tuple[Reading, ...]:
+        """Return the readings of the next round, in their order, up to the first that is missing."""
+        here = takewhile(bool, (self._waiting[number - 1] for number in self._taking_part()))
+        return tuple(waiting[0] for waiting in here)
+
     def whole(self) -> tuple[Reading, ...]:
         """Return the next round, and forget it; empty if a reading is missing."""
-        here = [self._waiting[number - 1] for number in self._taking_part()]
-        if not here or not all(here):
+        here = self.begun()
+        if not here or len(here) < len(self._taking_part()):
             return ()
         self._next += 1
-        return tuple(waiting.popleft() for waiting in here)
+        for each in here:
+            self._waiting[each.vehicle - 1].popleft()
+        return here
 
     def waits(self, vehicle: int) -> bool:
         """Whether the newest reading of a vehicle still waits for its round."""

@@ -8,7 +8,7 @@ import msgspec
 
 from estimator.admission import refusal
 from estimator.belief import belief, contributions, left_at, stop, stuck, warning
-from estimator.filter import Config, assimilate, forget, prior
+from estimator.filter import Config, Posterior, assimilate, forget, prior
 from estimator.gathering import Gathering
 from estimator.roll import OVERDUE_S, Roll
 from estimator.watch import SensorWatch
@@ -41,7 +41,7 @@ def run(
     known, rounds = list(systems), Gathering(len(systems))
     roll = Roll(bus, rounds, known, config, overdue_s)
     _begin(bus, config, roll)
-    posterior = prior(config)
+    ahead = Ahead(prior(config))
     watch = SensorWatch(config, len(systems) if len(systems) > 1 else 0)
     summary, particles = None, b""
     read_at: dict[int, tuple[Place, Place]] = {}  # where each vehicle has read, first and last
@@ -67,17 +67,23 @@ def run(
                 rounds.take(reading)
                 roll.took(arrival.vehicle, arrival.payload)
                 known[own] = known[own] or split(arrival.payload)[0].system
-        while taken := rounds.whole():
-            watch.look()
+        while True:
             began = time.perf_counter()
-            if (gone := roll.forgotten(rounds.number - 1)) != forgotten:
+            if (gone := roll.forgotten(rounds.number)) != forgotten:
+                watch.look()
                 forgotten = gone
-                posterior = forget(posterior, forgotten, config)
+                ahead = Ahead(forget(ahead.begin, forgotten, config))
                 watch.forget(forgotten)
-            for each in taken:
-                before, posterior = posterior, assimilate(posterior, each, config)
+            ahead.take(rounds.begun(), config)
+            if not (taken := rounds.whole()):
+                bus.tally.compute_s += time.perf_counter() - began
+                break
+            posterior = ahead.posteriors[-1]
+            watch.look()
+            for before, after, each in zip(ahead.posteriors, ahead.posteriors[1:], taken, strict=False):
                 if len(systems) > 1 and not stopped:
-                    watch.take(before, posterior, each)
+                    watch.take(before, after, each)
+            ahead = Ahead(posterior)
             summary, array = belief(posterior, taken[-1], config)
             if len(systems) > 1:
                 doubted = sorted({*stuck(posterior, config), *watch.doubted})
@@ -110,6 +116,35 @@ def run(
         if arrival and refused and summary is not None and not rounds.waits(arrival.vehicle):
             bus.publish(BELIEF, summary, particles)
             bus.answered()
+
+
+class Ahead:
+    """The posteriors after the readings of a round that have come so far: those are not waited for."""
+
+    def __init__(self, begin: Posterior) -> None:
+        """begin: that of the rounds before."""
+        self.posteriors = [begin]
+        self._taken: list[Reading] = []
+
+    @property
+    def begin(self) -> Posterior:
+        """That of the rounds before."""
+        return self.posteriors[0]
+
+    def take(self, readings: Sequence[Reading], config: Config) -> None:
+        """Take the round's first readings; those that it has taken are not assimilated again.
+
+        Where others have come between, since a vehicle has left or joined, all from there on are.
+        """
+        known = 0
+        for taken, reading in zip(self._taken, readings, strict=False):
+            if taken is not reading:
+                break
+            known += 1
+        del self._taken[known:], self.posteriors[known + 1 :]
+        for reading in readings[known:]:
+            self.posteriors.append(assimilate(self.posteriors[-1], reading, config))
+            self._taken.append(reading)
 
 
 def _of_all(

@@ -143,7 +143,7 @@ class Alike:
         """(A, K) of U[0, 1)."""
         return np.broadcast_to(self._generator.random(size[1:]), size)
 
-    def standard_gamma(self, shape: Array, size: int, /) -> Array:
+    def standard_gamma(self, shape: Array | float, size: int, /) -> Array:
         """(K,) gamma variables of these shapes (K,) and scale 1, for all rows."""
         return self._generator.standard_gamma(shape, size)
 

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable
 
 import msgspec
+import numpy as np
 import pytest
 
 from estimator import roll, service
@@ -93,6 +94,20 @@ def test_the_order_in_which_readings_come_changes_nothing(order: list[int]) -> N
     undisturbed = estimated(2, *IN_ORDER).published
     published = estimated(2, *(IN_ORDER[k] for k in order)).published
     assert [next(group) for _, group in itertools.groupby(published)] == undisturbed
+
+
+def test_readings_are_assimilated_as_they_come_and_again_only_after_one_that_has_left() -> None:
+    one, two, three = (taken(vehicle, 0) for vehicle in (1, 2, 3))
+    ahead = service.Ahead(prior(CONFIG))
+    ahead.take([one, two], CONFIG)
+    of_two = ahead.posteriors[2]
+    ahead.take([one, two, three], CONFIG)
+    assert ahead.posteriors[2] is of_two
+    ahead.take([two, three], CONFIG)
+    first = assimilate(prior(CONFIG), two, CONFIG)
+    for found, wanted in zip(ahead.posteriors[1:], (first, assimilate(first, three, CONFIG)), strict=True):
+        np.testing.assert_array_equal(found.particles, wanted.particles)
+        np.testing.assert_array_equal(found.log_weights, wanted.log_weights)
 
 
 def test_a_repeated_reading_is_answered_again_only_once_its_round_is_whole() -> None:
