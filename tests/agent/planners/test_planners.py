@@ -23,6 +23,7 @@ from agent.planning.predict import (
 )
 from link.bus.messages import Belief
 from plume.dispersion import concentration
+from plume.elementary import Array
 from plume.problem import square
 from plume.sensors.names import GAUSSIAN, Sensor, text
 from plume.sensors.sensor import Gaussian, Hits, Threshold
@@ -259,6 +260,45 @@ def test_readings_along_a_path_are_weighed_together(sensor: Sensor) -> None:
                 (after * joint).sum(axis=1) + left_out, abs=1e-9
             )
             assert said.expectations[a, step, :, 0] == pytest.approx(after @ values[a, step, 0], rel=1e-9)
+
+
+@pytest.mark.parametrize("sensor", SENSORS, ids=text)
+def test_readings_that_are_taken_before_are_weighed_with_those_at_a_place(sensor: Sensor) -> None:
+    particles = particles_of(300, 6)
+    belief = belief_at(HERE, sensor)
+    hypotheses = cloud(belief, particles)
+    before, places = HERE + np.array([(1.0, 1.0), (2.0, 1.0)]), HERE + np.array([(1.0, 0.0), (0.0, 1.0)])
+    said = imagine(belief, hypotheses, places, 25, np.random.default_rng(5), before=before)
+    rng = np.random.default_rng(5)
+    strata = (np.arange(25) + rng.random()) / 25
+    drawn = np.searchsorted(np.cumsum(hypotheses.weights), strata, side="right")
+    bits = np.random.Philox(int(rng.integers(2**63)))
+
+    def log_likelihoods(place: Array) -> tuple[Array, Array]:
+        """(25, 300) of readings at a place, and the terms that are left out for hits."""
+        means = concentration(
+            place, hypotheses.places.T, WIND, rate=RATE, diffusivity=DIFFUSIVITY, lifetime=LIFETIME
+        )
+        readings = sensor.measure(means[drawn], np.random.Generator(bits))
+        left_out = [math.lgamma(z + 1) for z in readings] if isinstance(sensor, Hits) else np.zeros(25)
+        return sensor.log_likelihood(readings[:, None], means), np.array(left_out)
+
+    (first, first_left_out), (second, second_left_out) = (
+        log_likelihoods(before[0]),
+        log_likelihoods(before[1]),
+    )
+    state = bits.state
+    for a, place in enumerate([None, *places], -1):  # -1: only those before
+        bits.state = state
+        here, left_out = (0.0, 0.0) if place is None else log_likelihoods(place)
+        joint, left_out = first + second + here, first_left_out + second_left_out + left_out
+        predictive = np.exp(joint) @ hypotheses.weights
+        expected = (hypotheses.weights * np.exp(joint) / predictive[:, None] * joint).sum(axis=1)
+        if place is None:
+            assert said.gains_before == pytest.approx(expected - np.log(predictive), abs=1e-9)
+            continue
+        assert said.log_predictive[a] == pytest.approx(np.log(predictive) + left_out, abs=1e-9)
+        assert said.log_likelihood[a] == pytest.approx(expected + left_out, abs=1e-9)
 
 
 @pytest.mark.parametrize(
