@@ -340,17 +340,17 @@ def test_before_a_part_that_hangs_is_killed_it_tells_where_its_threads_are(
         child.signal(signal.SIGSTOP)
     launched.processes.tell_stacks("agent")
     launched.processes.tell_stacks("of nobody")
-    if not stopped:
-        shown = ""
+    if stopped:
+        child.signal(signal.SIGCONT)
+    shown = ""
 
-        def told() -> bool:
-            nonlocal shown
-            shown += capsys.readouterr().err
-            return "in_circles" in shown
+    def told() -> bool:
+        nonlocal shown
+        shown += capsys.readouterr().err
+        return "in_circles" in shown
 
-        wait_until(told)
-    launched.processes.stop()  # which lets a stopped one continue
-    shown = capsys.readouterr().err if stopped else shown
+    wait_until(told)
+    launched.processes.stop()
     assert "agent: Current thread 0x" in shown
     assert " in in_circles" in shown
     assert " in wait" in shown
