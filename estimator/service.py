@@ -119,7 +119,7 @@ def run(
 
 
 class Ahead:
-    """The posteriors after the readings of a round that have come so far: those are not waited for."""
+    """The posteriors after each of a round's readings that have come so far, while the others are awaited."""
 
     def __init__(self, begin: Posterior) -> None:
         """begin: that of the rounds before."""
@@ -132,9 +132,9 @@ class Ahead:
         return self.posteriors[0]
 
     def take(self, readings: Sequence[Reading], config: Config) -> None:
-        """Take the round's first readings; those that it has taken are not assimilated again.
+        """Take the round's first readings, in their order. Those that it has taken are not assimilated again.
 
-        Where others have come between, since a vehicle has left or joined, all from there on are.
+        If a vehicle has left or joined meanwhile, all readings from its place on are.
         """
         known = 0
         for taken, reading in zip(self._taken, readings, strict=False):

@@ -127,7 +127,7 @@ class Abreast:
 class Alike:
     """A generator for arrays (A, K) whose rows share their random numbers: each row is as if drawn alone.
 
-    After counts, which take as many random numbers as they need, it gives counts alone.
+    How many random numbers a count takes depends on its mean: after counts only counts may be drawn.
     """
 
     def __init__(self, bits: np.random.Philox, rows: int) -> None:

@@ -157,8 +157,9 @@ def _read(
     earlier, totals: (K, N) log-likelihoods of the earlier readings, relative to `totals` (K,); empty, if
     there are none.  later, later_totals: where to put those with this reading; empty, if nowhere. They may be
     the same arrays.
-    said: (2, K) where to put the log predictive density and the expected log-likelihood of all readings, and
-    expected: (K, F) the expectations; (2, 0), if nobody asks for them.
+    said: (2, K) where to put the log predictive density and the expected log-likelihood of all readings;
+    (2, 0) if neither they nor the expectations are wanted.
+    expected: (K, F) where to put the expectations.
     """
     rows = scratch.exponents
     quadratic, linear, constant, silent, offset = rows[0], rows[1], rows[2], rows[3], rows[4]
