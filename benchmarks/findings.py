@@ -33,11 +33,12 @@ from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.figures import wilson
 from agent.trials.rollout import mission
 from benchmarks.pages import placed, table
+from benchmarks.trust import WITH
 from estimator.belief import CLEAR, belief, evidence
 from estimator.filter import Config, assimilate, prior
 from ground.findings.assumed import SPIKES
 from ground.findings.flight import Flight, FlownReading
-from ground.findings.region import CHI2_95, contour_95, places_of
+from ground.findings.region import CHI2_95, contour_95, places_of, scale_of
 from ground.findings.unseen import FLIGHTS, Supposed, smallest_rate
 from link import cli
 from link.bus.mavlink import Reading
@@ -48,14 +49,17 @@ from plume.outcome import interval
 from plume.problem import ALTITUDE_M
 from plume.randomness import derived_seed
 from plume.scenario import AREA_M, draw
-from plume.sensors.names import GAUSSIAN
+from plume.sensors.names import GAUSSIAN, parse
 from plume.worlds.names import named
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "findings"
 PAGE = ROOT / "docs" / "findings.md"
 POLICY, PARTICLES, BUDGET, THRESHOLD_M = "homing", 1000, 600, 0.5
-WORLDS = ("as-modelled", "wind-30", "rate-doubled", "d-halved", "cv-1", "all-at-once")
+WORLDS = (
+    *("as-modelled", "wind-30", "rate-doubled", "d-halved", "cv-1", "all-at-once"),
+    *("puffs:share=0.2 with 2 s of dwell", "puffs:share=0.2"),
+)
 NOWHERE_STEPS = 60  # moves of a flight that finds nothing
 PLACES, JUDGED = 10, 2  # of sources in each such flight; draws at each that the estimator judges, too
 DRAWS = 50  # at each place
@@ -100,21 +104,28 @@ class Cell(NamedTuple):
 
 def cover(cell: Cell) -> Covered:
     """Fly a mission and compare its findings with the truth."""
-    flown = mission(cell.seed, POLICY, PARTICLES, THRESHOLD_M, BUDGET, world=cell.world, assume="field")
+    world, sensor = WITH.get(cell.world, (cell.world, "gaussian"))
+    flown = mission(
+        *(cell.seed, POLICY, PARTICLES, THRESHOLD_M, BUDGET),
+        world=world,
+        assume="field",
+        sensor=parse(sensor),
+    )
     for step in flown.steps:
         said, particles = step.belief, step.particles
     source = flown.scenario.nearest(said.mean)
     (xx, xy, yy), (dx, dy) = said.covariance, (source[0] - said.mean[0], source[1] - said.mean[1])
     nees = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)
-    contour = contour_95(*places_of(particles, said.unknowns, said.mean))
-    gain = named(cell.world).errors(cell.seed).gain
+    scale = scale_of(said)
+    contour = contour_95(*places_of(particles, said.unknowns, said.mean), scale)
+    gain = named(world).errors(cell.seed).gain
     rate = flown.scenario.q * gain * said.diffusivity / flown.scenario.d
     low, high = interval("q", said.unknowns, particles) or (said.rate, said.rate)
     return Covered(
         cell.world,
         cell.seed,
         said.ceased,
-        nees <= CHI2_95,
+        nees <= CHI2_95 * scale * scale,
         None if contour is None else contour.contains(source),
         low <= rate <= high,
         math.dist(source, said.mean),
@@ -295,7 +306,7 @@ def main() -> None:
     )
     parser.add_argument(
         "--world",
-        type=cli.listed(cli.checked(named)),
+        type=cli.listed(cli.checked(lambda text: named(WITH.get(text, (text, ""))[0]))),
         default=list(WORLDS),
         metavar="NAME,NAME",
         help=f"(default: {', '.join(WORLDS)})",

@@ -15,7 +15,7 @@ import numpy as np
 from ground.findings.assumed import PriorRow, Told, calibration, command_line, stop_text, told_of, unit_of
 from ground.findings.flight import Flight, FlownReading
 from ground.findings.numbers import utc
-from ground.findings.region import Contour95, Ellipse95, contour_95, ellipse_95, places_of
+from ground.findings.region import Contour95, Ellipse95, contour_95, ellipse_95, places_of, scale_of
 from ground.findings.unseen import Smallest, smallest_rates
 from ground.findings.verdict import DOUBTFUL, NOT_FOUND, OUTSIDE, Judgement, verdict
 from link.bus.messages import Belief
@@ -68,6 +68,7 @@ class Findings:
     told: Told
     verdict: Judgement
     area: Area
+    scale: float  # of the region, by the belief's own
     ellipse: Ellipse95
     contour: Contour95 | None
     height: Ranged | None  # of the source above home, m; None if it was taken to be known
@@ -101,16 +102,17 @@ def findings_of(flight: Flight) -> Findings:
     told = told_of(last, flight.about)
     judged = verdict(flight, told)
     area = problem_of(flight.about).area
-    contour = None
+    contour, scale = None, scale_of(last)
     if flight.particles is not None:
-        contour = contour_95(*places_of(flight.particles, last.unknowns, last.mean))
+        contour = contour_95(*places_of(flight.particles, last.unknowns, last.mean), scale)
     not_found = judged.kind in (NOT_FOUND, OUTSIDE) or (judged.kind == DOUBTFUL and not last.ceased)
     return Findings(
         flight=flight,
         told=told,
         verdict=judged,
         area=area,
-        ellipse=ellipse_95(last.mean, last.covariance),
+        scale=scale,
+        ellipse=ellipse_95(last.mean, last.covariance, scale),
         contour=contour,
         height=_ranged("z", last.z, flight) if "z" in last.unknowns else None,
         rate=_ranged("q", last.rate, flight),
@@ -205,6 +207,7 @@ def as_json(it: Findings) -> dict[str, Any]:
         "covariance_m2": list(last.covariance),
         "spread_m": last.spread,
         "region_95": {
+            "scale": it.scale,
             "ellipse": {
                 "longer_half_axis_m": it.ellipse.longer_m,
                 "shorter_half_axis_m": it.ellipse.shorter_m,
