@@ -133,7 +133,7 @@ def _glance(it: Findings) -> list[tuple[str, str]]:
             "From home",
             f"{_metres(x, half)} m east, {_metres(y, half)} m north",
         ),
-        ("95% region", ellipse_text(it) + (_contour_text(it) if it.contour else "")),
+        ("95% region", ellipse_text(it) + _scale_text(it) + (_contour_text(it) if it.contour else "")),
         (
             "Height above home",
             f"{ranged_text(it.height, 'm')}" if it.height else f"{significant(it.last.z)} m, {height}",
@@ -154,6 +154,10 @@ def _metres(value: float, half_m: float) -> str:
     return rounded(value, 2 if half_m < 1 else 1)
 
 
+def _scale_text(it: Findings) -> str:
+    return "" if it.scale == 1 else f", {significant(it.scale, 2)} times as wide as the belief's own"
+
+
 def _contour_text(it: Findings) -> str:
     assert it.contour
     count = len(it.contour.rings)
@@ -166,9 +170,8 @@ def _maps(it: Findings, background: Background | None) -> str:
     near = ""
     if it.ellipse.longer_m < NEAR * it.area.side_m:
         near = (
-            f'<figure class="near">{near_map(it)}<figcaption>The estimate (cross) and the belief\'s '
-            "particles (dots) with the 95% ellipse (dashed) and the contour that holds 95% of the particles."
-            "</figcaption></figure>"
+            f'<figure class="near">{near_map(it)}<figcaption>The estimate (cross), the belief\'s particles '
+            "(dots) and the 95% region: ellipse (dashed) and contour (filled).</figcaption></figure>"
         )
     return f"""<div class="maps">
 <figure>{whole}<figcaption>Track (line) and readings (dots){_vehicles_text(it)}. Dashed rectangle: the search
@@ -351,8 +354,10 @@ READ = (
     "Latitude and longitude are WGS84 degrees, lengths metres, times UTC, rates g/s and kg/h, directions "
     "degrees clockwise from north; of the wind it is where it comes from. Numbers have the digits that their "
     "interval supports.",
-    "The region and the intervals hold 95% of the belief, which is what the readings say under the "
-    "assumption above. The ellipse is that of the belief's covariance, the contour the smallest region that "
-    "holds 95% of its particles. How often they hold the truth, also where the assumption is wrong, is "
-    "measured: see docs/findings.md of Plumeward.",
+    "The intervals hold 95% of the belief, which is what the readings say under the assumption above. The "
+    "region is the ellipse of the belief's covariance, and the smallest region that holds 95% of its "
+    "particles, as contour. Where the search stopped, both are made wider or narrower, by how strongly the "
+    "gas came and went: so they held the source of simulated leaks about as often as they say. How often "
+    "they hold the truth, also where the assumption is wrong, is measured: see docs/findings.md of "
+    "Plumeward.",
 )

@@ -1,13 +1,18 @@
-"""Protects the 95% region: the ellipse and the contour hold what they say, and outlines are closed and
-oriented.
+"""Protects the 95% region: the ellipse and the contour hold what they say, outlines are closed and oriented,
+and that of a stop has the width that gas like this asks for.
 """
 
+import html
 import math
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from ground.findings.region import Contour95, contour_95, ellipse_95
+from ground.findings.figures import as_json
+from ground.findings.page import page
+from ground.findings.region import Contour95, contour_95, ellipse_95, scale_of
+from tests.ground.findings.records import findings
 
 RNG = np.random.default_rng(5)
 
@@ -62,6 +67,47 @@ def test_the_contour_of_a_gaussian_is_near_its_ellipse() -> None:
     assert twice_area(ring) / 2 == pytest.approx(wanted, rel=0.12)
     fresh = gaussian(2_000, [[4.0, 1.5], [1.5, 1.0]])
     assert np.mean([contour.contains((x, y)) for x, y in fresh.tolist()]) == pytest.approx(0.95, abs=0.03)
+
+
+def test_a_region_of_another_scale_has_the_same_middle_and_shape() -> None:
+    places = gaussian(20_000, [[4.0, 1.5], [1.5, 1.0]])
+    own, [ring] = ellipse_95((10.0, 20.0), (4.0, 1.5, 1.0)), contour_of(places).rings
+    half, found = ellipse_95((10.0, 20.0), (4.0, 1.5, 1.0), 0.5), contour_95(places, np.ones(20_000), 0.5)
+    assert found
+    [small] = found.rings
+    assert (half.longer_m, half.shorter_m) == pytest.approx((own.longer_m / 2, own.shorter_m / 2))
+    assert half.bearing_deg == own.bearing_deg
+    assert twice_area(small) == pytest.approx(twice_area(ring) / 4, rel=1e-6)
+    assert small.mean(axis=0) == pytest.approx((ring.mean(axis=0) + places.mean(axis=0)) / 2, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("cv", "scale"),
+    # √(1.5 cv): in steady gas 0.3 is believed, with few puffs 1.5; never narrower than half, wider than twice
+    [(0.3, 0.670820), (2 / 3, 1.0), (1.5, 1.5), (0.1, 0.5), (20.0, 2.0)],
+)
+def test_the_region_of_a_stop_is_wider_the_more_the_gas_came_and_went(cv: float, scale: float) -> None:
+    last = replace(
+        findings().last, ceased=True, intermittency={"downwind": (cv / 2, cv, 2 * cv), "cv": (0.0, 0.1, 9.0)}
+    )
+    assert scale_of(last) == pytest.approx(scale, rel=1e-5)
+    assert scale_of(replace(last, ceased=False)) == 1.0  # it was measured at stops
+    assert scale_of(replace(last, intermittency={})) == 1.0  # what the gas is like was told
+
+
+def test_findings_say_how_much_wider_their_region_is() -> None:
+    it = findings()
+    _, cv, _ = it.last.intermittency["downwind"]
+    scale = math.sqrt(1.5 * cv)
+    assert as_json(it)["region_95"]["scale"] == pytest.approx(scale)
+    own = ellipse_95(it.last.mean, it.last.covariance)
+    assert it.ellipse.longer_m == pytest.approx(scale * own.longer_m)
+    assert it.contour
+    [ring] = it.contour.rings
+    assert abs(twice_area(ring)) / 2 == pytest.approx(
+        math.pi * it.ellipse.longer_m * it.ellipse.shorter_m, rel=0.3
+    )
+    assert f"{scale:.2f} times as wide as the belief's own" in html.unescape(page(it))
 
 
 def test_the_contour_holds_95_percent_of_the_weight_and_not_of_the_count() -> None:
