@@ -44,6 +44,12 @@ def obstacle(path: Path) -> str | None:
     return None
 
 
+def drop_if_empty(folder: Path) -> None:
+    """Remove a folder that was made for files which nobody will write now."""
+    with contextlib.suppress(OSError):
+        folder.rmdir()
+
+
 def _beside(target: Path) -> Path:
     return target.with_name(f"{target.name}.{os.getpid()}.partial")
 

@@ -246,5 +246,5 @@ def rollout(
         said.intermittency,
         said.advised_dwell,
         LastWord(said.covariance, said.rate, interval("q", said.unknowns, step.particles)),
-        HOME,
+        searched.home or HOME,
     ), trace

@@ -170,8 +170,9 @@ def _projection(path: Path, tags: dict[int, Any]) -> Any:
 
 def _utm_zone(code: int) -> tuple[int, bool] | None:
     """Return zone and hemisphere of a UTM reference system; None if it is another one."""
-    for base, is_south in ((32600, False), (32700, True), (25800, False), (26900, False)):
-        if 1 <= code - base <= 60:
+    bases = ((32600, 60, False), (32700, 60, True), (25800, 60, False), (26900, 23, False))
+    for base, zones, is_south in bases:  # NAD83 has UTM's first 23 zones; its other numbers are states'
+        if 1 <= code - base <= zones:
             return code - base, is_south
     return None
 

@@ -65,7 +65,6 @@ def run(args: argparse.Namespace) -> int:
     if args.bounds and not args.background:
         raise cli.BadInput("--bounds: only with --background")
     folder = args.out or args.log.with_name(f"{args.log.stem}-findings")
-    refuse(folder, args.force)
     try:
         if not is_record(args.log):
             raise cli.BadInput(
@@ -77,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
         raise cli.BadInput(str(error)) from None
     if flight is None:
         raise cli.BadInput(f"{args.log} has no belief that can be read: there was no search")
+    refuse(folder, args.force)
     picture = _background(args, flight.home)
     it = findings_of(flight)
     results = sys.stderr if args.json else sys.stdout

@@ -316,7 +316,7 @@ def figures_csv(it: Findings) -> str:
         ["ellipse, longer half axis", it.ellipse.longer_m, None, None, "m"],
         ["ellipse, shorter half axis", it.ellipse.shorter_m, None, None, "m"],
         ["ellipse, bearing of the longer half axis", it.ellipse.bearing_deg, None, None, "deg"],
-        ["height", *(it.height or (last.z, None, None)), "m"],
+        ["height", *(it.height or (it.height_m, None, None)), "m"],
         ["rate", *rate, "g/s"],
         ["rate", *rate.times(KG_H), "kg/h"],
         ["wind speed, measured", it.wind.speed_mps, None, None, "m/s"],
@@ -345,7 +345,7 @@ def _covariance(it: Findings) -> list[tuple[str, float]]:
 
 
 def _plain(value: float) -> str:
-    return f"{value:.9g}" if math.isfinite(value) else ""
+    return f"{value:.10g}" if math.isfinite(value) else ""
 
 
 def _written(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

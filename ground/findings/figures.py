@@ -24,6 +24,7 @@ from plume.geodesy import to_global
 from plume.outcome import gas_lines, interval
 from plume.problem import Area
 from plume.scenario import Scenario
+from plume.sensors.instruments import Instrument
 from scene.follow.described import problem_of
 from scene.scene import Point
 
@@ -82,6 +83,20 @@ class Findings:
     def last(self) -> Belief:
         """The last belief."""
         return self.flight.last
+
+    @property
+    def path_m(self) -> float:
+        """How far below the vehicle a sensor looks along a path, m; 0 of one that meets the gas."""
+        sensor = self.told.sensor
+        if not isinstance(sensor, Instrument):
+            return 0.0
+        return sensor.ray * -math.sin(math.radians(sensor.pitch))
+
+    @property
+    def height_m(self) -> float:
+        """Height of the source above home, as it was taken to be: of a path's gas that of its end."""
+        at_the_vehicle = self.height is None and self.last.z == self.last.altitude_m
+        return self.last.z - (self.path_m if at_the_vehicle else 0.0)
 
     @property
     def unit(self) -> str:
@@ -218,7 +233,7 @@ def as_json(it: Findings) -> dict[str, Any]:
             else [[list(it.on_earth(p) or p) for p in ring.tolist()] for ring in it.contour.rings],
             "contour_points": "latitude_deg, longitude_deg" if place else "x_m, y_m",
         },
-        "height_m": _json(it.height) if it.height else {"value": last.z, "interval_95": None},
+        "height_m": _json(it.height) if it.height else {"value": it.height_m, "interval_95": None},
         "rate_gs": last.rate,
         "rate_interval_gs": _ends(it.rate),
         "rate_kgh": KG_H * last.rate,

@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from link.bus.keys import BELIEF, READING, row_name, vehicle_of
+from link.bus.frames import frames_in, messages_in
+from link.bus.keys import BELIEF, MAVLINK_OUT, READING, row_name, vehicle_of
 from link.bus.mavlink import Reading, unpack_reading
 from link.bus.messages import Belief, Particles, by_number, unpack_particles
 from link.record.reader import Recording, read
@@ -124,8 +125,13 @@ def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = Non
     histories = histories_of(recording)
     history, numbers = histories[0], vehicles_of(recording)
     readings = _readings(recording.entries)
+    # Of a log that was replayed, when its vehicle started; the record has the times of the replay.
+    started_ns = _started_ns(recording.entries) if "log" in recording.about else None
     samples = [
-        _sample(own, entry, vehicle, readings.get((vehicle if said.readings else 0, own.time_boot_ms)))
+        _sample(
+            *(own, entry, vehicle, readings.get((vehicle if said.readings else 0, own.time_boot_ms))),
+            started_ns,
+        )
         for said, entry in beliefs
         for vehicle, own in by_number(said).items()
     ]
@@ -137,10 +143,16 @@ def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = Non
     home, home_by = _home(history, recording.about)
     if replayed_at:
         home, home_by = replayed_at, "the log"
-    clock = _Clock(on_one_clock(recording))
+    clock, first = _Clock(on_one_clock(recording)), samples[0]
+
+    def said_ns(time_s: float) -> int:
+        return (
+            clock.utc_ns(time_s) if started_ns is None else first.utc_ns + round(NS * (time_s - first.time_s))
+        )
+
     said = (
         Remark(
-            clock.utc_ns(it.time_s),
+            said_ns(it.time_s),
             f"{it.who}/{number}" if number and it.who in OF_A_VEHICLE else it.who,
             it.text,
         )
@@ -205,13 +217,29 @@ def _readings(entries: Iterable[Entry]) -> dict[tuple[int, int], tuple[Reading, 
     return found
 
 
-def _sample(said: Belief, entry: Entry, vehicle: int, reading: tuple[Reading, Entry] | None) -> FlownReading:
+def _started_ns(entries: Iterable[Entry]) -> int | None:
+    """Return when a vehicle started, ns since the Unix epoch, by its SYSTEM_TIME; None if it does not say."""
+    for entry in entries:
+        if row_name(entry.key) == MAVLINK_OUT.name:
+            said = messages_in(frames_in(entry.payload)).get("SYSTEM_TIME", {})
+            if unix_us := said.get("time_unix_usec"):
+                return int(1000 * unix_us - 1_000_000 * said["time_boot_ms"])
+    return None
+
+
+def _sample(
+    said: Belief,
+    entry: Entry,
+    vehicle: int,
+    reading: tuple[Reading, Entry] | None,
+    started_ns: int | None,
+) -> FlownReading:
     """Return the reading that a belief answers; one that the record lacks is as the belief says."""
     wind = reading[0].wind if reading else said.wind
     at = reading[1] if reading else entry
     return FlownReading(
         said.step,
-        at.published_ns,
+        at.published_ns if started_ns is None else started_ns + 1_000_000 * said.time_boot_ms,
         entry.simulation_s,
         said.position,
         said.altitude_m,

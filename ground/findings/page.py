@@ -125,7 +125,9 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") 
 def _glance(it: Findings) -> list[tuple[str, str]]:
     x, y = it.last.mean
     half = it.ellipse.shorter_m
-    height = "taken to be that of the flight" if it.last.z == it.last.altitude_m else "as told"
+    height = "as told"
+    if it.last.z == it.last.altitude_m:
+        height = f"taken to be that of the {'end of the path' if it.path_m else 'flight'}"
     is_find = it.last.ceased
     rows = [
         ("Source (best estimate)" if is_find else "Centre of the belief, no find", place_text(it)),
@@ -136,7 +138,7 @@ def _glance(it: Findings) -> list[tuple[str, str]]:
         ("95% region", ellipse_text(it) + _scale_text(it) + (_contour_text(it) if it.contour else "")),
         (
             "Height above home",
-            f"{ranged_text(it.height, 'm')}" if it.height else f"{significant(it.last.z)} m, {height}",
+            f"{ranged_text(it.height, 'm')}" if it.height else f"{significant(it.height_m)} m, {height}",
         ),
         ("Release rate, 95% interval" if is_find else "Release rate if there is a source", rate_text(it)),
         (

@@ -53,8 +53,11 @@ def verdict(flight: Flight, told: Told) -> Judgement:
         if last.evidence >= CLEAR
         else "the readings need no source to explain them"
     )
+    more = (
+        f" The record {flight.remark}: what the search has found later is not in it." if flight.remark else ""
+    )
     return Judgement(
-        NOT_FOUND, f"No source was found in {flight.read_text}: {met}.", _withheld(flight, narrow=False)
+        NOT_FOUND, f"No source was found in {flight.read_text}: {met}.{more}", _withheld(flight, narrow=False)
     )
 
 
@@ -87,7 +90,7 @@ def _doubts(flight: Flight, told: Told) -> tuple[str, ...]:
 
 def _withheld(flight: Flight, *, narrow: bool = True) -> tuple[str, ...]:
     """Return which checks kept a search from a stop."""
-    last, reasons = flight.last, []
+    last, reasons = flight.last, [f"the record {flight.remark}"] * bool(flight.remark)
     if last.p_value < INCOMPATIBLE:
         reasons.append(
             f"the last readings do not fit the model (p = {last.p_value:.1g}): the sensor may be stuck, or "

@@ -58,10 +58,10 @@ def smallest_text(it: Findings) -> list[str]:
     if not len(seen):
         return ["Nowhere in the area would a source of any rate have been seen with 90% probability."]
     least, greatest = float(seen.min()), float(seen.max())
-    lines = [
-        f"Best place: {both_rates(least)}. Half of the area: {both_rates(_share(it, 0.5))} or less. "
-        f"Nine tenths of it: {both_rates(_share(it, 0.9))} or less."
-    ]
+    lines = [f"Best place: {both_rates(least)}."]
+    for words, share in (("Half of the area", 0.5), ("Nine tenths of it", 0.9)):
+        if math.isfinite(rate := _share(it, share)):
+            lines[0] += f" {words}: {both_rates(rate)} or less."
     if len(seen) == size:
         lines.append(f"Anywhere in the area a source of {both_rates(greatest)} would have been seen.")
     else:
@@ -80,8 +80,6 @@ def _share(it: Findings, share: float) -> float:
 
 def both_rates(gs: float) -> str:
     """Return a rate in g/s and kg/h, with two digits."""
-    if not math.isfinite(gs):
-        return "no rate"
     return f"{significant(gs, 2)} g/s ({significant(KG_H * gs, 2)} kg/h)"
 
 

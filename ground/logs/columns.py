@@ -40,7 +40,7 @@ NAMES = ("time", "date", "lat", "lon", "gas", *(name for name in SCALES if name 
 NEEDED = ("time", "lat", "lon", "gas")
 VALID = (0.0, 1.0)  # of a status
 LISTED, LONGEST = 20, 40  # names of columns that are listed, and the characters of one
-ZONE = re.compile(r"([+-])(\d\d):?(\d\d)")
+ZONE = re.compile(r"([+-])([01]\d|2[0-3]):?([0-5]\d)")
 
 
 class LoggedColumn(NamedTuple):

@@ -27,6 +27,7 @@ LATEST_S = 4_102_444_800.0  # the year 2100
 EPOCH_S, EPOCH_MS, EPOCH_US = 1e8, 1e11, 1e14  # a greater number is a time since 1970 in s, ms, µs
 DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})")
 LONGEST = 40  # characters of a value that are quoted
+EARLIER = "earlier than a row before"  # why a row is left out
 LISTED = 5  # reasons that are listed where no row can be used
 QUANTITIES = ("gas", "lat", "lon", "height", "east", "north", "temperature", "pressure", "path")
 
@@ -133,7 +134,7 @@ class _Reader:
         at_s = self._seconds(row, cells)
         if at_s < self._newest_s:
             reason = f"is {self._newest_s - at_s:.3f} s before the row before; wanted times that go on"
-            raise _Bad("earlier than a row before", f"row {row}: {self._names('time')} {reason}")
+            raise _Bad(EARLIER, f"row {row}: {self._names('time')} {reason}")
         this = [cells[place] for place in self._places]
         if this == self._last_cells:
             self._repeated += 1
@@ -191,7 +192,7 @@ class _Reader:
         place, column = self._found[name]
         text = cells[place]
         with contextlib.suppress(ValueError):
-            value = number(text)
+            value = number(text, beside=cells[self._found["lat"][0]])
             if name == "status" and value in VALID:
                 return value
             if name != "status":
@@ -220,7 +221,7 @@ class _Reader:
             at_s, is_dated, has_zone = self._time(text)
         except (ValueError, OverflowError):
             at_s, is_dated, has_zone = math.nan, False, False
-        if not abs(at_s) < LATEST_S:
+        if not (0.0 if is_dated else -LATEST_S) <= at_s < LATEST_S:
             wanted = "a time such as 2026-11-26T12:00:00.5Z, or a number of seconds"
             name = self._names("date", "time") if "date" in self._found else self._names("time")
             raise _Bad(f"without {name}", f"row {row}: {name} is {_quoted(text)}; wanted {wanted}")
@@ -253,6 +254,11 @@ class _Reader:
         if not self._means:
             why = printable("; ".join(told[:LISTED])) or "it has no rows after the first"
             raise BadInput(f"{self._path}: none of its {self._rows:,} rows can be a sample; {why}")
+        if (earlier := self._out.get(EARLIER, (0, ""))) and earlier[0] > self._used:
+            raise BadInput(
+                f"{self._path}: {earlier[0]:,} of its {self._rows:,} rows are {EARLIER}: first "
+                f"{printable(earlier[1])} (is the time of a row before it wrong?)"
+            )
         if self._repeated:
             self.notes.append(
                 f"{self._repeated:,} rows that repeat the row before but for the time count once"

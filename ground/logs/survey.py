@@ -11,7 +11,7 @@ from ground.logs.columns import Columns, gas_unit
 from ground.logs.samples import INTERVAL_S, Samples, samples, spread_over
 from ground.tlog.background import clean_air
 from ground.tlog.clock import Floats
-from ground.tlog.flight import LoggedFlight, Origin, Sensed, fitted_area, note_on_readings
+from ground.tlog.flight import LoggedFlight, Origin, Sensed, check, fitted_area, note_on_readings
 from ground.tlog.log import AUTOPILOT, counted
 from ground.tlog.samples import WIND_AGE_MS, Pair
 from link.bus.keys import MAVLINK_OUT, READING
@@ -58,6 +58,7 @@ def read(
         raise BadInput(
             f"--every: {every_s:g} s is not allowed with {path}; wanted {LEAST_EVERY_S:g} s or more"
         )
+    check(wind, every_s, origin, area_m)
     took, used = samples(path, columns, min(every_s or INTERVAL_S, INTERVAL_S))
     notes = [_note_on_rows(path, took), *took.notes]
     notes += [f"left out: {line}" for line in took.left_out]
@@ -83,6 +84,12 @@ def read(
     side_m, corner = fitted_area([(*each, 0.0) for each in ground], origin, area_m, None)
     home = to_global(*zero, *corner)
     origin_s = float(took.times_s[0])
+    late = int(np.count_nonzero(at_s - origin_s >= WRAP_MS / 1000.0))
+    if 2 * late > len(pieces):
+        raise BadInput(
+            f"{path}: {late:,} of its {len(pieces):,} readings are later than 49 days after the first row, "
+            f"{_clock_text(took)}; wanted one flight, and its first rows with the right time"
+        )
     readings: list[Reading] = []
     for index in range(len(pieces)):
         north, east = to_local(*home, float(lat[index]), _within(float(lon[index])))
@@ -238,11 +245,16 @@ def _within(lon_deg: float) -> float:
 
 
 def _note_on_rows(path: Path, took: Samples) -> str:
-    first_s = float(took.times_s[0])
     zone = "UTC" if took.has_zone else "in no said time zone, taken as UTC"
-    began = f" from {datetime.fromtimestamp(first_s, UTC):%Y-%m-%d %H:%M:%S} {zone}" if took.is_dated else ""
-    long_s = float(took.times_s[-1]) - first_s
+    began = f" from {_clock_text(took)} {zone}" if took.is_dated else ""
+    long_s = float(took.times_s[-1] - took.times_s[0])
     return f"{path.name}: {took.rows:,} rows, {took.used:,} used, in {long_s:,.1f} s{began}"
+
+
+def _clock_text(took: Samples) -> str:
+    """Return when a flight began."""
+    first_s = float(took.times_s[0])
+    return f"{datetime.fromtimestamp(first_s, UTC):%Y-%m-%d %H:%M:%S}" if took.is_dated else f"{first_s:g} s"
 
 
 def _entries(took: Samples, home: Pair, height_m: Floats, readings: list[Reading]) -> list[Entry]:

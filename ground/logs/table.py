@@ -3,7 +3,9 @@
 import codecs
 import csv
 import io
+import re
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -11,6 +13,8 @@ from link.cli import BadInput
 
 SUFFIXES = (".csv", ".tsv", ".txt")
 DELIMITERS = ",;\t|"
+QUOTED = re.compile(r'"[^"]*"?')  # names between quotes, which may hold any of them
+THOUSANDS = re.compile(r"[+-]?\d{1,3},\d{3}")  # or a decimal comma before three digits
 LONGEST = 65_536  # characters of a row
 LOOKED_AT = 65_536  # bytes by which the encoding is told
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
@@ -33,23 +37,30 @@ def read(path: Path, file: BinaryIO) -> TextTable:
     """Begin to read a table; `rows` reads on. Raises BadInput, as `rows` does."""
     encoding = _encoding(file)
     text = io.TextIOWrapper(file, encoding, errors="replace", newline="")
-    first = next(filter(str.strip, _lines(path, text)), "")
+    lines = _lines(path, text)
+    blank, first = next(((number, line) for number, line in enumerate(lines) if line.strip()), (0, ""))
     if not first:
         raise BadInput(f"{path} is empty; wanted a first row with the names of columns, and rows of values")
     if "\0" in first:
         raise BadInput(f"{path}, row 1: it is not text; wanted a table of comma-separated values (CSV)")
-    delimiter = max(DELIMITERS, key=first.count)
-    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter))]
+    delimiter = max(DELIMITERS, key=QUOTED.sub("", first).count)
+    rows = _rows(path, chain([first], lines), delimiter, blank)
+    header = [" ".join(name.split()) for name in next(rows)[1]]
     told = [encoding] * (encoding not in ("utf-8", "utf-8-sig"))
     told += [f"columns between {delimiter!r}"] * (delimiter != ",")
-    return TextTable(header, _rows(path, text, delimiter), ", ".join(told))
+    return TextTable(header, rows, ", ".join(told))
 
 
-def number(text: str) -> float:
-    """Return the number in a cell, which may have a decimal comma. Raises ValueError."""
+def number(text: str, beside: str = "") -> float:
+    """Return the number in a cell, which may have a decimal comma. Raises ValueError.
+
+    beside: another number of the row. Where that has a point, the comma of 1,900 is none that can be told.
+    """
     try:
         return float(text)
     except ValueError:
+        if "." in beside and THOUSANDS.fullmatch(text):
+            raise
         if text.count(",") == 1 and "." not in text and "_" not in text:
             return float(text.replace(",", "."))
         raise
@@ -81,17 +92,18 @@ def _lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
         yield line
 
 
-def _rows(path: Path, text: io.TextIOWrapper, delimiter: str) -> Iterator[tuple[int, list[str]]]:
-    reader = csv.reader(_lines(path, text), delimiter=delimiter)
+def _rows(path: Path, lines: Iterator[str], delimiter: str, before: int) -> Iterator[tuple[int, list[str]]]:
+    """Yield rows, each with the number of its last line in the file, of which `before` lines came before."""
+    reader = csv.reader(lines, delimiter=delimiter)
     while True:
         try:
             row = next(reader, None)
         except csv.Error as error:
             raise BadInput(
-                f"{path}, row {reader.line_num + 1}: it cannot be read ({error}); wanted a table of "
+                f"{path}, row {before + reader.line_num + 1}: it cannot be read ({error}); wanted a table of "
                 "comma-separated values (CSV)"
             ) from None
         if row is None:
             return
         if row:
-            yield reader.line_num + 1, row
+            yield before + reader.line_num, row

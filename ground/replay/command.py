@@ -20,11 +20,12 @@ from ground.replay.player import Player, replay
 from ground.replay.source import Source, find
 from ground.replay.verify import Rules
 from link import cli
+from link.files import drop_if_empty
 from link.record.reader import Recording, read
 from link.terminal import tell
 from plume import __version__
 from plume.outcome import UNITS, assumed_text, gas_lines, on_earth, outside_text, verdict
-from plume.parameters import LIMITS
+from plume.parameters import LIMITS, MOST
 from plume.randomness import MAX_SEED
 from plume.sensors import names as sensor
 from sitl.launch.processes import MissionFailed
@@ -176,7 +177,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--background",
-        type=cli.number(-math.inf, math.inf),
+        type=cli.number(-MOST, MOST),
         metavar="G",
         help="tlog, csv: gas in clean air, subtracted, in the log's unit (default: that of the flight's "
         "clean air)",
@@ -214,6 +215,8 @@ def run(args: argparse.Namespace) -> int:
 
     Returns the exit status: 1 if something differs, or if pieces of the log are missing.
     """
+    if args.findings and args.loop:
+        raise cli.BadInput("--findings: not with --loop, which never comes to an end")
     source, rules = find(args)
     files = RecordFiles(args.record) if args.record else None
     if files:
@@ -240,11 +243,11 @@ def run(args: argparse.Namespace) -> int:
                 break
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        _give_up(files)
+        _give_up(files, args.findings)
         raise
     except MissionFailed as failure:
         print(f"error: {failure}", file=sys.stderr)
-        _give_up(files)
+        _give_up(files, args.findings)
         return failure.status
     if files:
         files.made = True
@@ -258,8 +261,10 @@ def run(args: argparse.Namespace) -> int:
     return cli.FAILED if result.difference or source.damaged else 0
 
 
-def _give_up(files: RecordFiles | None) -> None:
-    """Say where the record of a replay is that did not come to its end."""
+def _give_up(files: RecordFiles | None, findings: Path | None) -> None:
+    """Say where the record of a replay is that did not come to its end; no findings are made of it."""
+    if findings:
+        drop_if_empty(findings)
     if files:
         files.made = True
         files.give_up(refused=False)

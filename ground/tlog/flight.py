@@ -87,7 +87,7 @@ def read(
     area then, else around the path. area_m: the side of the area. background: of gas whose unit `gas` names,
     in that unit; default: that of clean air in the flight.
     """
-    _check(wind, every_s, origin, area_m, plume)
+    check(wind, every_s, origin, area_m, plume)
     log = open_log(path, gas)
     source = parse_gas(gas, log.is_onboard)
     if background is not None and source.unit is None:
@@ -136,9 +136,17 @@ def read(
     )
 
 
-def _check(
-    wind: Pair | None, every_s: float | None, origin: Pair | None, area_m: float | None, plume: World | None
+def check(
+    wind: Pair | None,
+    every_s: float | None,
+    origin: Pair | None,
+    area_m: float | None,
+    plume: World | None = None,
 ) -> None:
+    """Refuse what nobody can mean of a log's wind, m/s and degrees, of its readings, s, and of its area, m.
+
+    Raises BadInput.
+    """
     if wind is not None and plume is not None:
         raise BadInput("a wind is not allowed with a plume, which has its own")
     if wind is not None and not (0.0 <= wind[0] <= STRONGEST_MPS and abs(wind[1]) <= 360.0):

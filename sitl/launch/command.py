@@ -13,6 +13,7 @@ import msgspec
 from aircraft.payload.options import SIMULATED, add_payload_argument
 from aircraft.search.options import add_vehicle_url
 from link import cli
+from link.files import drop_if_empty
 from plume.outcome import outcome_text
 from plume.problem import Problem
 from plume.problems.options import add_fleet_arguments
@@ -141,14 +142,12 @@ def run(args: argparse.Namespace) -> int:
         flown = fly(_launch(args, script, files.path if files else None), files, page)
     except KeyboardInterrupt:
         page.end()
-        if files:
-            files.give_up(refused=False)
+        _give_up(files, args.findings, refused=False)
         print("interrupted", file=sys.stderr)
         raise
     except MissionFailed as failure:
         refused = failure.status == cli.BAD_INPUT
-        if files:
-            files.give_up(refused=refused)
+        _give_up(files, args.findings, refused=refused)
         print(f"error: {_refusal(args, str(failure)) if refused else failure}", file=sys.stderr)
         page.linger()
         return failure.status
@@ -160,6 +159,14 @@ def run(args: argparse.Namespace) -> int:
         print(flown.json(with_trace=args.trace), flush=True)
     page.linger()
     return 0 if written and all(flown.expectations.values()) else cli.FAILED
+
+
+def _give_up(files: RecordFiles | None, findings: Path | None, *, refused: bool) -> None:
+    """Say where the record is of a mission that did not come to its end; no findings are made of it."""
+    if findings:
+        drop_if_empty(findings)
+    if files:
+        files.give_up(refused=refused)
 
 
 def _checked_script(args: argparse.Namespace) -> Script:

@@ -51,6 +51,12 @@ def test_a_table_ends_in_a_record_that_is_enough(start, flight: Path) -> None:
             ["--loop", "--record", "x.mcap"],
             "error: --record: only allowed with one replay of a log of others",
         ),
+        (["--loop", "--findings", "x"], "error: --findings: not with --loop, which never comes to an end"),
+        (["--wind", "2,inf"], "error: wind 2,inf is not allowed; wanted a speed from 0 to "),
+        (
+            ["--background", "inf"],
+            "python -m sitl replay: error: --background: 'inf' is not allowed; wanted a ",
+        ),
         (
             ["--record", "x.bag"],
             "python -m sitl replay: error: --record: 'x.bag' is not allowed; wanted a file",

@@ -7,6 +7,7 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.trials.rollout import mission, rollout
 from estimator.belief import belief
@@ -15,6 +16,7 @@ from link.bus.mavlink import Reading
 from plume.dispersion import concentration
 from plume.outcome import outcome_text
 from plume.parameters import LIMITS
+from plume.problem import PAPER
 from plume.scenario import AS_MODELLED, Scenario, draw
 from plume.sensors.names import KINDS, parse
 from plume.worlds.errors import WRONG
@@ -110,6 +112,13 @@ def test_the_outcome_says_what_was_assumed_and_when_it_stops() -> None:
         rollout(1, **brief, assume="feild")
     with pytest.raises(ValueError, match=r"stop 'spread:1' is not allowed with threshold_m 0\.3"):
         rollout(1, **brief, threshold_m=0.3, stop="spread:1")
+
+
+def test_the_place_on_earth_is_counted_from_the_home_of_the_problem() -> None:
+    said, _ = rollout(4, "greedy", particles=50, problem=replace(PAPER, home=(51.4496, -2.6021), budget=3))
+    x, y = said.estimate
+    north_m, east_m = (said.latitude_deg - 51.4496) * 111_195, (said.longitude_deg + 2.6021) * 69_297
+    assert (east_m, north_m) == pytest.approx((x, y), rel=1e-3)  # of a sphere of 6,371 km, at 51.45°
 
 
 def test_a_spread_is_the_same_stop_in_its_short_and_its_long_form() -> None:

@@ -105,7 +105,8 @@ def test_a_wrong_image_is_one_line(tmp_path: Path, make: object, said: str) -> N
     assert "\n" not in str(error.value)
 
 
-def test_a_geotiff_of_another_reference_system_is_refused_by_its_number(tmp_path: Path) -> None:
-    tiff = tagged(tmp_path / "site.tif", (1.0, 1.0), (0.0, 0.0), [(1024, 1), (3072, 2056)])
-    with pytest.raises(BackgroundError, match="EPSG:2056"):
+@pytest.mark.parametrize("number", [2056, 26943])  # Swiss, and California's of NAD83
+def test_a_geotiff_of_another_reference_system_is_refused_by_its_number(number: int, tmp_path: Path) -> None:
+    tiff = tagged(tmp_path / "site.tif", (1.0, 1.0), (0.0, 0.0), [(1024, 1), (3072, number)])
+    with pytest.raises(BackgroundError, match=f"EPSG:{number}"):
         background(tiff, HOME, None)

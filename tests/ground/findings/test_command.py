@@ -94,5 +94,15 @@ def test_a_record_that_is_cut_off_gives_what_it_has_and_says_so(
     assert told.count("\n") == 1
 
 
+def test_a_file_that_is_no_record_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("noise.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(500))
+    assert written("noise.mcap") == written("none.mcap") == 2
+    capsys.readouterr()
+    assert [path.name for path in tmp_path.iterdir()] == ["noise.mcap"]
+
+
 def test_fly_looks_for_the_files_that_findings_writes() -> None:
     assert tuple(DOCUMENTS) == FINDINGS

@@ -16,13 +16,16 @@ from xml.etree import ElementTree
 import jsonschema
 import msgspec
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from ground.findings.documents import DOCUMENTS, write
 from ground.findings.exchange import cell, figures_csv, geojson, kml, readings_csv
 from ground.findings.figures import Findings, as_json
 from ground.findings.flight import Remark, sha256_of
 from ground.findings.page import page
+from link.bus.mavlink import Codec
 from link.record.reader import read
+from link.record.record import Entry
 from link.record.writer import Writer
 from plume.geodesy import to_local
 from tests.ground.findings.records import FOUND, GOLDEN, believing, findings, of_format, rewritten
@@ -410,3 +413,25 @@ def test_a_description_that_is_not_as_expected_gives_documents_all_the_same(
     it = findings(rewritten(tmp_path / "x.mcap", about=about))
     assert "SHA-256" in page(it)
     collection(it)
+
+
+def test_the_findings_of_a_replayed_log_have_the_times_of_its_flight(tmp_path: Path) -> None:
+    """Its record was written later: only the vehicle's SYSTEM_TIME has the time of the flight."""
+    noon_us = 1_790_000_000_000_000
+    codec = Codec(1, 1)
+
+    def dated(entry: Entry) -> Entry:
+        if entry.key != "mavlink/out":
+            return entry
+        time = mavlink.MAVLink_system_time_message(noon_us, 40_000)  # 40 s after the vehicle's start
+        return entry._replace(payload=codec.pack(time))
+
+    about = {**read(FOUND).about, "log": {"file": "flight.csv", "notes": []}}
+    it = findings(rewritten(tmp_path / "replayed.mcap", dated, about))
+    [at_ms] = [
+        said["time_boot_ms"]
+        for entry in read(FOUND).entries
+        if entry.key == "belief" and (said := json.loads(entry.payload))["step"] == 3
+    ]
+    assert it.flight.samples[3].utc_ns == 1000 * noon_us + 1_000_000 * (at_ms - 40_000)
+    assert findings().flight.samples[3].utc_ns != it.flight.samples[3].utc_ns

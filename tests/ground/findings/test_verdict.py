@@ -49,6 +49,13 @@ def test_a_belief_outside_the_area_is_outside_and_says_where_to() -> None:
     assert "to the east (97% of the belief)" in said.sentence
 
 
+def test_not_found_in_a_record_that_is_cut_off_says_what_that_means() -> None:
+    said = judged(remark="is cut off", ceased=False, spread=4.0)
+    assert said.kind == NOT_FOUND
+    assert said.sentence.endswith("The record is cut off: what the search has found later is not in it.")
+    assert "the record is cut off" in said.reasons
+
+
 def test_a_narrow_belief_whose_stop_was_withheld_is_doubtful() -> None:
     said = judged(ceased=False, spread=0.3, evidence=1.0)
     assert said.kind == DOUBTFUL

@@ -379,3 +379,60 @@ def test_a_huge_table_is_read_row_by_row(tmp_path: Path) -> None:
     log = plain(tmp_path, *rows)
     took, _ = survey.samples(log, PLAIN)
     assert (took.rows, len(took.times_s)) == (60_000, 150)
+
+
+# ---- what nobody can mean ----
+
+
+@pytest.mark.parametrize(
+    ("wanted", "words"),
+    [
+        ({"wind": (2.0, math.inf)}, "wind 2,inf is not allowed; wanted a speed from 0 to"),
+        ({"wind": (math.nan, 3.0)}, "wind nan,3 is not allowed"),
+        ({"wind": (-2.0, 3.0)}, "wind -2,3 is not allowed"),
+        ({"origin": (math.nan, 0.0)}, "origin nan,0 is not allowed; wanted m north and m east"),
+        ({"area_m": math.inf}, "an area of inf m is not allowed; wanted a number above 0"),
+        ({"columns": "gasflux,time=timestamp@+25:00"}, "time=timestamp@+25:00 is not allowed"),
+    ],
+)
+def test_a_wind_place_or_zone_that_cannot_be_is_one_line(wanted: dict, words: str, tmp_path: Path) -> None:
+    assert words in refused(written(tmp_path), **wanted)
+
+
+def test_a_date_before_1970_is_no_time(tmp_path: Path) -> None:
+    rows = [row.replace("2026-", "1904-") for row in ROWS]
+    assert "timestamp is '1904-06-01 09:00:00'; wanted a time" in refused(written(tmp_path, rows))
+
+
+def test_one_wrong_time_does_not_empty_a_flight_in_silence(tmp_path: Path) -> None:
+    ahead = [*ROWS[:2], ROWS[2].replace("2026-", "2036-"), *ROWS[3:]]
+    words = refused(written(tmp_path, ahead))
+    assert "9 of its 12 rows are earlier than a row before: first row 5: timestamp is" in words
+    before_the_fix = [ROWS[0].replace("2026-", "1980-"), *ROWS[1:]]
+    words = refused(written(tmp_path, before_the_fix))
+    assert "11 of its 12 readings are later than 49 days after the first row, 1980-06-01 09:00:00" in words
+
+
+def test_rows_are_numbered_as_in_the_file_whatever_came_before(tmp_path: Path) -> None:
+    log = written(tmp_path, [HEADER, *ROWS[:3], "noon,51.5,9.25,4,2,270,15,1013,2", *ROWS[4:]], "\n\n ")
+    assert any("first row 8: timestamp is 'noon'" in note for note in read(log).notes)  # its line
+
+
+def test_names_of_columns_may_hold_delimiters_and_breaks_between_quotes(tmp_path: Path) -> None:
+    rows = [row.replace(",", ";") for row in ROWS]
+    header = (
+        HEADER.replace(",", ";")
+        .replace("pressure", '"pressure\n[hPa]"')
+        .replace("height_ato", '"a,b,c,d,e,f,g,h,i,j"')
+    )
+    log = written(tmp_path, rows, header)
+    columns = "gasflux,height=,pressure=pressure [hPa]"
+    said = readings(read(log, columns=columns))
+    assert [reading.gas for reading in said] == [
+        reading.gas for reading in readings(read(written(tmp_path, name="plain.csv")))
+    ]
+
+
+def test_a_comma_that_may_part_thousands_is_no_number_beside_points(tmp_path: Path) -> None:
+    rows = [f'{n},51.5,9.{250_000 + 100 * n},"{n + 1},900"' for n in range(3)]
+    assert "gas is '1,900'; wanted a number" in refused(plain(tmp_path, *rows), columns=PLAIN, wind=CALM)
