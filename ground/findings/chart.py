@@ -215,7 +215,7 @@ def _scale_bar(view: View) -> str:
     x, y = WIDTH - RIGHT - 12 - length * view.scale, view.height - BELOW - 12
     return (
         f'<rect x="{x - 6:.1f}" y="{y - 20:.1f}" width="{length * view.scale + 12:.1f}" height="26" '
-        'fill="#fff" fill-opacity="0.8"/>'
+        'fill="#fff" fill-opacity="0.5"/>'
         f'<path d="M{x:.1f} {y - 5:.1f} V{y:.1f} H{x + length * view.scale:.1f} V{y - 5:.1f}" fill="none" '
         f'stroke="{INK}" stroke-width="1.5"/>'
         + _text(x + length * view.scale / 2, y - 7, f"{length:.10g} m", "middle", INK)

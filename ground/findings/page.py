@@ -47,6 +47,9 @@ figcaption { color: var(--faint); font-size: .87rem; } code { font-size: .88em; 
   white-space: nowrap; overflow-wrap: normal; }
 .maps { display: grid; gap: 1rem; } .near { max-width: 44rem; }
 @page { size: A4; margin: 14mm; }
+@media (max-width: 40rem) { table.pairs th { width: 8rem; } .maps figure { min-width: 0; overflow-x: auto; }
+  .maps svg { min-width: 36rem; } table:not(.pairs) { display: block; overflow-x: auto; }
+  table:not(.pairs) td { min-width: 7rem; overflow-wrap: break-word; } }
 @media print { body { padding: 0; max-width: none; font-size: 10.5pt; } h2 { break-after: avoid; }
   tr { break-inside: avoid; } .verdict { -webkit-print-color-adjust: exact; print-color-adjust: exact; }
   .maps { max-width: 165mm; } svg { -webkit-print-color-adjust: exact; print-color-adjust: exact; } }
