@@ -85,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
     os.environ.setdefault("ZENOH_RUNTIME", FEW_THREADS)
     if reason := cli.existing("FILE.mcap", _files(args.file), args.force):
         raise cli.BadInput(reason)
+    fleet = {"fleet": {"vehicles": args.vehicles}} if args.vehicles > 1 else {}
     with Tap(
         "recorder",
         args.connect,
@@ -94,7 +95,8 @@ def run(args: argparse.Namespace) -> int:
         vehicles=cli.numbers(args.vehicles),
     ) as bus:
         try:
-            writer = begin(args.file, args.force, {**args.about, **surroundings(args.namespace)})
+            about = {**fleet, **args.about, **surroundings(args.namespace)}
+            writer = begin(args.file, args.force, about)
         except OSError as error:
             culprit = "" if error.filename in (None, str(args.file)) else f": {error.filename}"
             cannot = f"FILE.mcap: cannot write {str(args.file)!r}: {error.strerror}{culprit}"

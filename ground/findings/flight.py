@@ -1,6 +1,7 @@
 """A flight as its record tells it: readings, the last belief, the track, and what was said meanwhile."""
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -79,8 +80,12 @@ class Flight(NamedTuple):
     @property
     def read_text(self) -> str:
         """How often was read, in words."""
-        each = f" of each of {len(self.tracks)} vehicles" if len(self.tracks) > 1 else ""
-        return f"{self.last.step + 1} readings{each}"
+        taken = Counter(sample.vehicle for sample in self.samples)
+        if len(taken) == 1:
+            return f"{self.last.step + 1} readings"
+        if len({*taken.values()}) == 1:
+            return f"{taken[min(taken)]} readings of each of {len(taken)} vehicles"
+        return f"{taken.total()} readings of {len(taken)} vehicles"
 
     @property
     def began_ns(self) -> int:

@@ -71,6 +71,7 @@ class LiveFoxglove:
         self._rules = AccessRules(HOST, port, origins=tuple(origins), programs=True)
         self._loop = asyncio.get_running_loop()
         self._encoders: dict[str, SceneEncoder] = {}
+        self._first = ""  # the vehicle whose topics have no prefix
         self._first_home: Fix | None = None
         self._measurements: dict[str, Measurement] = {}
         self._topics: dict[str, dict[str, Any]] = {}  # as they are announced
@@ -89,8 +90,8 @@ class LiveFoxglove:
     def show(self, scene: Scene) -> None:
         """Send what has changed in a vehicle's scene. One thread at a time may call it, any one."""
         now_ns, vehicle = time.time_ns(), scene.backdrop.vehicle
-        first = next(iter(self._encoders), vehicle)
-        search = first.rpartition(OF_VEHICLE)[0]  # `search/1/`; empty if the first one searches alone
+        search = (self._first or vehicle).rpartition(OF_VEHICLE)[0]  # `search/1/`; empty if it searches alone
+        self._first = first = self._first or (f"{search}{OF_VEHICLE}1" if search else vehicle)
         together = bool(search) and vehicle.startswith(search + OF_VEHICLE)
         prefix = "" if vehicle == first else f"{vehicle.removeprefix(search)}/"
         encoder = self._encoders.setdefault(vehicle, SceneEncoder(prefix, aside=bool(prefix) and together))

@@ -226,7 +226,7 @@ class LiveFleet:
         secure: the folder of certificates. Raises BusError if `router` is not an endpoint, AccessError
         without a certificate that is fit.
         """
-        self.vehicles: dict[str, LiveVehicle] = {}  # in the order in which they appeared
+        self.vehicles: dict[str, LiveVehicle] = {}  # in the order of their names, uav/2 before uav/10
         self.list_version = 0  # grows with each change of the list or the notice
         self.notice = ""  # what people should know of the bus: no router, too many vehicles
         self._router, self._about, self._changed, self._say = router, about, changed, say
@@ -347,7 +347,7 @@ class LiveFleet:
                 vehicle = LiveVehicle(name, self._router, self._about_of(name), self._secure)
             except (NoRouter, AccessError):
                 return False
-            self.vehicles = {**self.vehicles, name: vehicle}
+            self.vehicles = dict(sorted({**self.vehicles, name: vehicle}.items(), key=_by_number))
             for shared, there in self._shared.get(_search_of(name), {}).items():
                 vehicle.lives(shared, there)
         self._lives(name, service, True)
@@ -375,6 +375,11 @@ class LiveFleet:
             if now_s - since_s >= GONE_AFTER_S:
                 del self._missed_s[name, service]
                 self._lives(name, service, False)
+
+
+def _by_number(item: tuple[str, object]) -> list[tuple[str, int]]:
+    """Return what orders vehicles by name, so that uav/2 comes before uav/10."""
+    return [(text, int(digits or 0)) for text, digits in re.findall(r"(\D*)(\d*)", item[0])]
 
 
 def _search_of(name: str) -> str:

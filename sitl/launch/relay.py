@@ -65,7 +65,9 @@ class Relay:
                 router, to_router = await asyncio.wait_for(opening, timeout=1.0)
                 with contextlib.closing(to_router):
                     await asyncio.gather(self._carry(part, to_router), self._carry(router, to_part))
-            except OSError:  # the router is not there (yet), or one of them has gone
+            # The router is not there (yet), or one of them has gone; or the mission ends: asyncio would tell
+            # a cancelled task as a fault.
+            except (OSError, asyncio.CancelledError):
                 pass
             except Exception as error:  # a fault of ours: the thread must not live on in silence
                 self._end.set_exception(error)

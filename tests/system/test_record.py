@@ -29,6 +29,18 @@ def steps(recording: Recording) -> list[int]:
     return [json.loads(entry.payload)["step"] for entry in recording.entries if entry.key == "belief"]
 
 
+def test_a_record_of_several_says_how_many_they_are(
+    start, router: str, tmp_path: Path, wait_until: Callable
+) -> None:
+    """Else a replay of it would look for the keys of one vehicle alone."""
+    words = ("--namespace", "search/1", "--vehicles", "2", "--connect", router)
+    recorder = start("sitl", "record", str(tmp_path / "two.mcap"), *words)
+    wait_until(lambda: recorder.out)
+    recorder.process.send_signal(signal.SIGINT)
+    recorder.ended()
+    assert read(tmp_path / "two.mcap").about["fleet"] == {"vehicles": 2}
+
+
 def test_a_mission_is_recorded_from_its_first_to_its_last_message(start, tmp_path: Path) -> None:
     mission = start(
         "sitl",

@@ -172,9 +172,11 @@ const link = new Link({
     Object.assign(state, { vehicles, notice });
     tellLink();
     const known = state.show.filter((name) => state.models[name]?.scene || vehicles.some((vehicle) => vehicle.name === name));
+    // Where there are others than those of one search, a name says of which it is.
+    const alone = (search) => vehicles.every((each) => each.search === search);
     for (const { name, search } of vehicles) {
       state.models[name] ??= unknown(name);
-      Object.assign(state.models[name], { search, label: name.startsWith(search) ? name.slice(search.length + 1) || name : name });
+      Object.assign(state.models[name], { search, label: name.startsWith(search) && alone(search) ? name.slice(search.length + 1) || name : name });
     }
     const first = vehicles.filter(({ search }, i) => vehicles.findIndex((other) => other.search === search) === i); // of each record, and of each search
     if (!known.length && vehicles.length) show(first.slice(0, isRecord(vehicles[0]) ? 2 : 1).map(({ name }) => name));

@@ -49,6 +49,14 @@ def test_a_belief_outside_the_area_is_outside_and_says_where_to() -> None:
     assert "to the east (97% of the belief)" in said.sentence
 
 
+def test_a_fleet_of_which_one_left_is_said_to_have_read_as_often_as_it_has() -> None:
+    flight = findings().flight
+    sample = flight.samples[0]
+    both = [sample._replace(vehicle=number) for number in (1, 2) for _ in range(3)]
+    assert flight._replace(samples=both).read_text == "3 readings of each of 2 vehicles"
+    assert flight._replace(samples=both[:4]).read_text == "4 readings of 2 vehicles"
+
+
 def test_not_found_in_a_record_that_is_cut_off_says_what_that_means() -> None:
     said = judged(remark="is cut off", ceased=False, spread=4.0)
     assert said.kind == NOT_FOUND

@@ -103,6 +103,17 @@ def test_it_closes_though_a_router_takes_nothing() -> None:
             assert not closing.is_alive()
 
 
+def test_it_closes_without_a_word_while_a_connection_lasts(
+    echo: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    relay = Relay(echo)
+    with connected(relay) as peer:
+        peer.sendall(b"hello")
+        assert exactly(peer, 5) == b"hello"
+        relay.close()
+    assert caplog.records == []  # asyncio logs what a task ends with
+
+
 def test_other_protocols_than_tcp_are_refused() -> None:
     with pytest.raises(ValueError, match="wanted tcp/HOST:PORT"):
         Relay("udp/127.0.0.1:7447")
