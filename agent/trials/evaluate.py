@@ -13,7 +13,7 @@ import re
 import sys
 import zlib
 from collections.abc import Iterator, Sequence
-from itertools import groupby
+from itertools import filterfalse, groupby
 from pathlib import Path
 from typing import IO, Any, TextIO, cast
 
@@ -172,7 +172,7 @@ def run(args: argparse.Namespace) -> int:
 def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
     # Here, because they load the kernels, which help does not need.
     from agent.trials.cluster import join, on_cluster
-    from agent.trials.sweep import Sweep, complete, flown, journal_of, kept, on_cores
+    from agent.trials.sweep import Sweep, answers, complete, flown, journal_of, kept, on_cores
 
     if args.ray:
         tell(f"joining the Ray cluster at {args.ray}")
@@ -211,9 +211,7 @@ def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
         return cli.FAILED
     if args.missions and len(complete(sweep, there)) < sweep.count:  # a file that has all stays as it is
         try:
-            new = {(row.flight, row.criterion) for row in rows}
-            others = [row for row in there if (row.flight, row.criterion) not in new]
-            write_csv([*others, *rows], args.missions)
+            write_csv([*filterfalse(answers(sweep), there), *rows], args.missions)
         except OSError as error:
             raise cli.BadInput(
                 f"--missions: {error}; the missions are saved: run the command again with another file"

@@ -277,17 +277,27 @@ def fly_all(
 
 def complete(sweep: Sweep, rows: Iterable[MissionRow]) -> dict[Flight, list[MissionRow]]:
     """Return the flights of a sweep that rows tell in full: flown in its way, with all its criteria."""
-    searched: dict[str, Any] = {"area": sweep.problem.ground, "expected": sweep.problem.support}
-    config, wanted = (
-        Config(**searched, **{"sensor": sensor_of(sweep.problem), **sweep.knowledge}),
-        [stop.text for stop in sweep.stops],
-    )
-    ways = {policy: settings(sweep, policy, config).items() for policy in sweep.policies}
-    said: dict[Flight, dict[str, MissionRow]] = {}
-    for row in rows:
-        if row.flight in sweep and all(getattr(row, name) == value for name, value in ways[row.policy]):
-            said.setdefault(row.flight, {})[row.criterion] = row
+    wanted, said = [stop.text for stop in sweep.stops], dict[Flight, dict[str, MissionRow]]()
+    for row in filter(answers(sweep), rows):
+        said.setdefault(row.flight, {})[row.criterion] = row
     return {flight: [of[stop] for stop in wanted] for flight, of in said.items() if of.keys() >= {*wanted}}
+
+
+def answers(sweep: Sweep) -> Callable[[MissionRow], bool]:
+    """Return what tells whether a row is one of a sweep: of its flights, settings and criteria."""
+    searched: dict[str, Any] = {"area": sweep.problem.ground, "expected": sweep.problem.support}
+    config = Config(**searched, **{"sensor": sensor_of(sweep.problem), **sweep.knowledge})
+    ways = {policy: settings(sweep, policy, config).items() for policy in sweep.policies}
+    wanted = {stop.text for stop in sweep.stops}
+
+    def answer(row: MissionRow) -> bool:
+        return (
+            row.flight in sweep
+            and row.criterion in wanted
+            and all(getattr(row, name) == value for name, value in ways[row.policy])
+        )
+
+    return answer
 
 
 def kept(sweep: Sweep, journal: Path) -> dict[Flight, list[MissionRow]]:

@@ -19,10 +19,12 @@ from agent.trials.evaluate import named, read_csv, write_csv
 from agent.trials.figures import MissionRow
 from agent.trials.floor import floors_m
 from agent.trials.rollout import mission, rollout
-from agent.trials.sweep import Flight, Sweep, fly, fly_all, journal_of, on_cores, ordered
+from agent.trials.sweep import Flight, Sweep, answers, fly, fly_all, journal_of, on_cores, ordered
 from estimator.criterion import Criterion
 from estimator.priors import Gamma, Uniform
 from plume import __version__
+from plume.problem import Area, Problem
+from plume.problems.fleet import Fleet
 from plume.scenario import draw
 from plume.sensors.sensor import Hits
 from plume.worlds.world import World
@@ -226,6 +228,39 @@ def test_a_table_is_filled_up_and_left_alone_once_it_is_full(
     assert table.stat().st_mtime_ns == written
     table.write_text("nonsense")
     assert evaluate("1") == 2
+
+
+def test_rows_of_another_problem_stay_in_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "wide.yaml").write_text("area: {low: [-20, 0], high: [80, 50]}")
+    flags = "--policy greedy --scenarios 1 --particles 50 --budget 2 --workers 1 --missions missions.csv"
+    for problem in ("wide.yaml", "paper"):
+        assert main(arguments=["evaluate", *flags.split(), "--problem", problem, "--resume"]) == 0
+    wide, paper = read_csv(tmp_path / "missions.csv")
+    assert wide.flight == paper.flight
+    assert (wide.problem, paper.problem) == ('{"area":{"low":[-20.0,0.0],"high":[80.0,50.0]}}', "paper")
+
+
+def test_a_row_answers_a_sweep_of_its_own_settings_alone() -> None:
+    few = replace(SMALL, particles=(50,), seeds=range(7, 8), stops=SMALL.stops[:1], budget=1)
+    sweeps = [
+        few,
+        replace(few, budget=2),
+        replace(few, moves={"step": 0.5}),
+        replace(few, moves={"headings": 8}),
+        replace(few, stops=(Criterion(within=(1.0, 0.9)),)),
+        replace(few, problem=Problem(area=Area((-20.0, 0.0), (80.0, 50.0)))),
+        replace(few, fleet=Fleet(2)),
+        replace(few, fleet=Fleet(2, separation_m=4.0)),
+        replace(few, knowledge={"assume": "field"}),
+        replace(few, knowledge={"margin_m": 4.0}),
+        replace(few, knowledge={"sensor": Hits()}),
+        replace(few, knowledge={"priors": {"q": Uniform(100.0, 500.0)}}),
+        replace(few, knowledge={"stop_limits": {"x": 2.0}}),
+    ]
+    flown = [fly(each, [("greedy", 50, 7, "as-modelled")])[0][0] for each in sweeps]
+    for each, own in zip(sweeps, flown, strict=True):
+        assert list(filter(answers(each), flown)) == [own]
 
 
 def test_another_question_has_another_journal(tmp_path: Path) -> None:
