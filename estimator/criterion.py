@@ -19,9 +19,9 @@ class Criterion(NamedTuple):
     def text(self) -> str:
         """The text that `parse` reads back."""
         return (
-            f"within:{','.join(map(_short, self.within))}"
+            f"within:{','.join(map(short, self.within))}"
             if self.within
-            else f"spread:{_short(self.threshold_m)}"
+            else f"spread:{short(self.threshold_m)}"
         )
 
 
@@ -62,6 +62,6 @@ def chosen(threshold_m: float, stop: str | None, usual: str | None = None) -> Cr
         raise ValueError(f"stop {error}") from None
 
 
-def _short(number: float) -> str:
+def short(number: float) -> str:
     """Write a number with few digits if they are exact, else with all."""
     return f"{number:g}" if float(f"{number:g}") == number else repr(number)

@@ -22,6 +22,7 @@ import msgspec
 from agent.policies import add_policy_argument, bundle_path, reach
 from agent.trials.figures import COLUMNS, OF_FLEETS, MissionRow, cell, figures
 from agent.trials.workers import WorkerLost
+from estimator.criterion import short
 from estimator.options import add_sensor_argument, criteria, knowledge
 from link import cli
 from link.files import whole
@@ -34,6 +35,7 @@ from plume.worlds.names import ABOUT, OURS, check, kinds, separate
 
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
+EXACT = ("threshold_m", "step_m", "margin_m", "separation_m")  # columns that --resume compares with settings
 LONGEST_LINE, MOST_ROWS = 10_000, 1_000_000
 CUT_OFF = "\0"  # stands for a value that a line of a table lacks
 # Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All are
@@ -255,7 +257,7 @@ def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
 
 
 def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
-    """Write a header and one row per mission, with six significant digits.
+    """Write a header and one row per mission: settings read back exactly, figures have six digits.
 
     A name that ends in .gz is compressed.
 
@@ -266,8 +268,8 @@ def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
         writer.writerow(MissionRow.__struct_fields__)
         for row in rows:
             writer.writerow(
-                f"{value:.6g}" if isinstance(value, float) else value
-                for value in msgspec.structs.astuple(row)
+                (short(value) if name in EXACT else f"{value:.6g}") if isinstance(value, float) else value
+                for name, value in msgspec.structs.asdict(row).items()
             )
 
 

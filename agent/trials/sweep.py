@@ -294,10 +294,15 @@ def answers(sweep: Sweep) -> Callable[[MissionRow], bool]:
         return (
             row.flight in sweep
             and row.criterion in wanted
-            and all(getattr(row, name) == value for name, value in ways[row.policy])
+            and all(_says(getattr(row, name), value) for name, value in ways[row.policy])
         )
 
     return answer
+
+
+def _says(written: Any, value: Any) -> bool:
+    """Whether a setting in a row is this one; older tables have its first six digits."""
+    return written == value or (isinstance(value, float) and written == float(f"{value:.6g}"))
 
 
 def kept(sweep: Sweep, journal: Path) -> dict[Flight, list[MissionRow]]:

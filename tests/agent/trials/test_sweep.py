@@ -19,16 +19,18 @@ from agent.trials.evaluate import named, read_csv, write_csv
 from agent.trials.figures import MissionRow
 from agent.trials.floor import floors_m
 from agent.trials.rollout import mission, rollout
-from agent.trials.sweep import Flight, Sweep, answers, fly, fly_all, journal_of, on_cores, ordered
+from agent.trials.sweep import Flight, Sweep, answers, complete, fly, fly_all, journal_of, on_cores, ordered
 from estimator.criterion import Criterion
 from estimator.priors import Gamma, Uniform
 from plume import __version__
 from plume.problem import Area, Problem
 from plume.problems.fleet import Fleet
+from plume.problems.names import named as named_problem
 from plume.scenario import draw
 from plume.sensors.sensor import Hits
 from plume.worlds.world import World
 
+ROOT = Path(__file__).parents[3]
 pytestmark = pytest.mark.slow
 
 SMALL = Sweep(
@@ -190,6 +192,43 @@ def test_missions_that_a_table_tells_in_full_are_not_flown_again(tmp_path: Path)
         ("greedy", 9),
         ("thompson", 9),
     ]
+
+
+LONG = replace(  # settings of more than six digits; so is the margin, √(100 · 50) / 3 m
+    SMALL,
+    policies=("greedy",),
+    particles=(50,),
+    stops=(Criterion(0.1234567), Criterion(0.1234568)),
+    budget=1,
+    moves={"step": 1.2345678},
+    knowledge={"assume": "field"},
+    problem=Problem(area=Area((-20.0, 0.0), (80.0, 50.0))),
+    fleet=Fleet(2, separation_m=3.4567891),
+)
+
+
+def test_settings_of_many_digits_are_recognised_in_a_table(tmp_path: Path) -> None:
+    rows = fly(LONG, flights_of(LONG, 7))[0]
+    write_csv(rows, tmp_path / "missions.csv")
+    read = read_csv(tmp_path / "missions.csv")
+    assert [row.threshold_m for row in read] == [0.1234567, 0.1234568]
+    assert read[0].margin_m == pytest.approx(math.sqrt(100 * 50) / 3, rel=1e-12)
+    assert list(complete(LONG, read)) == flights_of(LONG, 7)
+
+
+def test_settings_are_recognised_in_a_table_of_six_digits() -> None:
+    few = replace(LONG, stops=(Criterion(0.5),))
+    ((row,),) = fly(few, flights_of(few, 7))
+    older = msgspec.structs.replace(row, step_m=1.23457, margin_m=23.5702, separation_m=3.45679)
+    assert complete(few, [older]) == {row.flight: [older]}
+    assert not complete(few, [msgspec.structs.replace(older, margin_m=23.5703)])
+
+
+def test_the_rows_of_the_leaderboard_are_recognised() -> None:
+    field = named_problem(str(ROOT / "missions" / "wide-field.yaml"))
+    seeds = range(1_000_000, 1_000_100)
+    sweep = Sweep(("homing", "lookahead"), seeds, knowledge={"assume": "field"}, problem=field)
+    assert len(complete(sweep, read_csv(ROOT / "results/leaderboard/wide-field.csv.gz"))) == sweep.count
 
 
 def flights_of(sweep: Sweep, seed: int) -> list[Flight]:
