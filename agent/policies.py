@@ -5,7 +5,6 @@ import ast
 import inspect
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType
@@ -34,6 +33,8 @@ SHIPPED = {name: Path(__file__).parent / "bundles" / f"{name}.zip" for name in L
 OURS = (*registry.PLANNERS, *SHIPPED)  # the policies of the project, in the order of its tables
 DEFAULT = "homing"  # the best policy that needs no training
 PLUGINS = "plumeward.policies"  # entry points of this group are policies of other packages: docs/policies.md
+
+loaded: dict[str, tuple[tuple[object, ...], Policy]] = {}  # by name, with the state of the file then
 
 
 class PolicyError(ValueError):
@@ -94,9 +95,26 @@ def check(name: str) -> None:
         )
 
 
-@cache
 def policy(name: str) -> Policy:
-    """Return the policy of a name or a file. Raises ValueError with what is wrong and what is allowed."""
+    """Return the policy of a name or a file, which is loaded anew if it has changed.
+
+    Raises ValueError with what is wrong and what is allowed.
+    """
+    state = _state(bundle_path(name))
+    if name not in loaded or loaded[name][0] != state:
+        loaded[name] = state, _load(name)
+    return loaded[name][1]
+
+
+def _state(path: Path | None) -> tuple[object, ...]:
+    """Path, time and size of a file: one that was written anew has others. Empty if there is none."""
+    if path is None or not path.is_file():
+        return ()
+    state = path.stat()
+    return path.absolute(), state.st_mtime_ns, state.st_size
+
+
+def _load(name: str) -> Policy:
     check(name)
     if name in registry.PLANNERS:
         return _planned(name)
@@ -211,9 +229,11 @@ def _unlike(problem: Problem, trained: Problem) -> str:
 def choose(name: str, belief: Belief, particles: Particles, seed: int, within: Reach) -> tuple[float, float]:
     """Return the next waypoint (x, y) m, a float32 pair: a function of the belief and the seed alone.
 
+    The policy is the one that `policy` returned last: a file written in flight changes no mission.
+
     Raises PolicyError where the policy fails, or returns something that is not a waypoint.
     """
-    decide = policy(name)
+    decide = loaded[name][1] if name in loaded else policy(name)
     # One order of numbers in memory, on the bus and off it: sums depend on it.
     seen = np.asfortranarray(particles).view()
     seen.flags.writeable = False

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
-from agent.policies import DEFAULT
+from agent.policies import DEFAULT, policy
 from agent.trials.evaluate import FIRST_TEST_SEED, named
 from agent.trials.rollout import check as check_knowledge
 from agent.trials.sweep import Sweep, fly, on_cores, ordered
@@ -82,6 +82,8 @@ def evaluate(
     if not names or not worlds or scenarios < 1 or workers < 1:
         raise ValueError("wanted one policy, one world, one scenario and one worker at least")
     check_knowledge(assume, knowledge)
+    for name in names:
+        policy(name)
     sweep = Sweep(
         names,
         range(first_seed, first_seed + scenarios),

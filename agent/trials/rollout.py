@@ -5,6 +5,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from agent import policies
 from agent.planning.moves import Reach
 from agent.policies import DEFAULT, reach
 from agent.together import choose_all
@@ -214,6 +215,7 @@ def rollout(
     criterion = chosen(threshold_m, stop, searched.stop)
     check(assume, knowledge)
     knowledge |= {"assume": assume, "within": criterion.within}
+    policies.policy(policy)
     flown = mission(
         seed,
         policy,

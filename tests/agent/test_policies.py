@@ -25,6 +25,7 @@ from agent.policies import SHIPPED, PolicyError, choose, named, policy, reach
 from agent.trials.rollout import mission, rollout
 from link.bus.messages import Belief, Particles
 from plume.problem import Area, Problem
+from plumeward.evaluation import evaluate
 from tests.agent.test_bundle import a_bundle
 
 ROOT = Path(__file__).parents[2]
@@ -33,9 +34,9 @@ Plug = Callable[..., str]
 
 @pytest.fixture(autouse=True)
 def _looked_up_anew() -> Iterator[None]:
-    policy.cache_clear()
+    policies.loaded.clear()
     yield
-    policy.cache_clear()
+    policies.loaded.clear()
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +123,45 @@ def test_a_bundle_is_named_by_its_file(
         str(tmp_path / "a.zip"), *seen, 5, Reach()
     )  # a learned policy draws no random numbers
     assert math.dist(waypoint, seen[0].position) <= 1 + 1e-5
+
+
+def way(bundle: Path) -> list[tuple[float, float]]:
+    """Where a mission with a bundle measures."""
+    return [point.position for point in rollout(1, str(bundle), 100, budget=4)[1]]
+
+
+def test_a_bundle_that_is_written_anew_is_flown_anew(tmp_path: Path) -> None:
+    bundle, other = tmp_path / "a.zip", tmp_path / "b.zip"
+    for path, seed in ((bundle, 0), (other, 1)):
+        a_bundle(path, "polar", Headings(16), seed)
+    first = way(bundle)
+    a_bundle(bundle, "polar", Headings(16), 1)
+    assert way(bundle) == way(other) != first
+    bundle.unlink()
+    with pytest.raises(ValueError, match=r"a\.zip: there is no such file$"):
+        way(bundle)
+
+
+def test_an_evaluation_flies_a_bundle_that_is_written_anew(
+    tmp_path: Path, seen: tuple[Belief, Particles]
+) -> None:
+    bundle, waypoints = tmp_path / "a.zip", []
+    for seed in (0, 1, 0):
+        a_bundle(bundle, "polar", Headings(16), seed)
+        evaluate(str(bundle), 1, particles=50, budget=1)
+        waypoints.append(choose(str(bundle), *seen, 0, Reach()))
+    assert waypoints[0] == waypoints[2] != waypoints[1]
+
+
+def test_a_bundle_that_is_written_anew_in_flight_changes_no_mission(tmp_path: Path) -> None:
+    bundle = tmp_path / "a.zip"
+    a_bundle(bundle, "polar", Headings(16), 0)
+    whole = way(bundle)
+    flying = []
+    for step in mission(1, str(bundle), 100, 0.5, 4, assume="field").steps:
+        flying += [reading.position for reading in step.readings]
+        a_bundle(bundle, "polar", Headings(16), 1)
+    assert flying == whole
 
 
 def test_what_ships_is_a_bundle_under_a_short_name(
