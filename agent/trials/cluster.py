@@ -13,7 +13,8 @@ from itertools import islice
 from typing import Any
 
 from agent.trials.figures import MissionRow
-from agent.trials.sweep import Flight, Sweep, code
+from agent.trials.sources import code
+from agent.trials.sweep import Flight, Sweep
 from agent.trials.workers import THREADS
 from link.cli import BadInput
 
@@ -67,7 +68,8 @@ def on_cluster(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[lis
         packed: bytes,
     ) -> Any:  # pickled by value because it is nested, so a node without our code can still run it
         try:
-            from agent.trials.sweep import code, fly
+            from agent.trials.sources import code
+            from agent.trials.sweep import fly
 
             if code() == here:
                 return fly(*pickle.loads(packed))

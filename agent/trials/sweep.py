@@ -8,13 +8,12 @@ import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import partial
 from itertools import groupby, product
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
-import numba
 import numpy as np
 
 from agent.policies import bundle_path, reach
@@ -22,6 +21,7 @@ from agent.trials.figures import MissionRow, nees
 from agent.trials.floor import LEAST_THRESHOLD_M, floors_m
 from agent.trials.progress import with_bar
 from agent.trials.rollout import Mission, mission
+from agent.trials.sources import code, of_policy, of_world
 from agent.trials.workers import as_flown
 from estimator.belief import met, warning
 from estimator.criterion import Criterion
@@ -35,8 +35,6 @@ from plume.problems.fleet import ALONE, Fleet
 from plume.problems.names import sensor_of
 from plume.scenario import AS_MODELLED, STEP_M
 from plume.sensors.names import GAUSSIAN, text
-
-PACKAGES = ("plume", "link", "scene", "estimator", "agent")
 
 
 @dataclass(frozen=True)
@@ -333,26 +331,11 @@ def _on_cores(
             yield from flown
 
 
-@cache
-def code() -> str:
-    """Digest of our sources and of the numpy and numba versions."""
-    digest = hashlib.blake2b(f"{np.__version__} {numba.__version__}".encode(), digest_size=8)
-    for package in PACKAGES:
-        for path in sorted((Path(__file__).parents[2] / package).rglob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
 def journal_of(sweep: Sweep, folder: Path) -> Path:
-    """Return the journal of a sweep. Other settings or other code have another journal."""
-    bundles = [
-        hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
-        for name in sweep.policies
-        if (path := bundle_path(name))
-    ]
+    """Return the journal of a sweep. Other settings, code, bundles, plug-ins or files have another one."""
     question = (
         code(),
-        bundles,
+        [*filter(None, map(of_policy, sweep.policies)), *filter(None, map(of_world, sweep.worlds))],
         sweep.stops,
         sweep.budget,
         sweep.problem,
