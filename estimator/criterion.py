@@ -44,20 +44,18 @@ def parse(text: str) -> Criterion:
     return Criterion(numbers[0]) if kind == "spread" else Criterion(within=(numbers[0], numbers[1]))
 
 
-def chosen(threshold_m: float, stop: str | None, usual: str | None = None) -> Criterion:
+def chosen(threshold_m: float | None, stop: str | None, usual: str) -> Criterion:
     """Return the criterion of two arguments of which one may be given, else the usual one.
 
     `threshold_m` is the short form of `stop="spread:…"`. Raises ValueError if both are given, or if `stop` is
     not allowed.
     """
-    if threshold_m == USUAL_THRESHOLD_M and stop is None:
-        stop = usual
-    if stop is None:
-        return Criterion(threshold_m)
-    if threshold_m != USUAL_THRESHOLD_M:
+    if threshold_m is not None and stop is not None:
         raise ValueError(f"stop {stop!r} is not allowed with threshold_m {threshold_m:g}; wanted one of them")
+    if threshold_m is not None:
+        return Criterion(threshold_m)
     try:
-        return parse(stop)
+        return parse(usual if stop is None else stop)
     except ValueError as error:
         raise ValueError(f"stop {error}") from None
 

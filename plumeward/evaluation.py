@@ -8,7 +8,7 @@ from agent.policies import DEFAULT, policy
 from agent.trials.evaluate import FIRST_TEST_SEED, named
 from agent.trials.rollout import check as check_knowledge
 from agent.trials.sweep import Sweep, fly, on_cores, ordered
-from estimator.criterion import USUAL_THRESHOLD_M, chosen
+from estimator.criterion import chosen
 from plume.problem import PAPER, Problem
 from plume.problems.fleet import ALONE, Fleet
 from plume.problems.names import with_arguments
@@ -21,7 +21,7 @@ def evaluate(
     *,
     first_seed: int = FIRST_TEST_SEED,
     particles: int = 1000,
-    threshold_m: float = USUAL_THRESHOLD_M,
+    threshold_m: float | None = None,
     budget: int | None = None,
     workers: int = 1,
     problem: Problem | str = PAPER,
@@ -40,7 +40,8 @@ def evaluate(
         scenarios: Missions for each policy, of the seeds from `first_seed` on.
         first_seed: Training uses no seed from 1,000,000 on.
         particles: Particles of the filter.
-        threshold_m: The search stops when the spread of the belief is below it, m.
+        threshold_m: The search stops when the spread of the belief is below it, m; None: the problem's
+            stop, by default 0.5 m.
         budget: Moves after which a mission is given up; None: the problem's.
         workers: Processes that fly. A script that asks for more than one needs `if __name__ ==
             "__main__":`.
@@ -48,7 +49,7 @@ def evaluate(
         world: A world, as `plumeward.rollout` takes it, or several of them; None: the problem's.
         assume: What the estimator takes to be known: `field` or `paper`, where all but the position is
             known.
-        stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
+        stop: The stop criterion, instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
             when at least 99% of the belief is
             within 1 m of the estimate.
         vehicles: Vehicles that search together, with `formation` and `separation_m` as

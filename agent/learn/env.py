@@ -25,7 +25,7 @@ from agent.learn.render import RENDERING, Onlooker, Pixels
 from agent.observation import BOUND, SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
 from estimator.assumptions import ASSUMPTIONS
-from estimator.criterion import FORMS, USUAL_THRESHOLD_M, Criterion, chosen
+from estimator.criterion import FORMS, Criterion, chosen
 from plume.elementary import Array
 from plume.problem import Problem
 from plume.problems import names
@@ -57,11 +57,11 @@ class Settings:
     observation: str = "polar"
     reward: str = "cost"
     particles: int = 500
-    threshold_m: float = USUAL_THRESHOLD_M
+    threshold_m: float | None = None
     budget: int | None = None  # None, and of the next one: the problem's
     world: str | None = None
     assume: str = "paper"  # the shipped policies learned with it
-    stop: str | None = None  # None and the usual `threshold_m`: the problem's
+    stop: str | None = None  # None, with a `threshold_m` of None: the problem's
     problem: str | Problem | Mapping[str, Any] = "paper"
 
     def __post_init__(self) -> None:
@@ -81,7 +81,7 @@ class Settings:
             if getattr(self, name) is not None:
                 _whole(name, getattr(self, name), least)
         threshold_m: Any = self.threshold_m
-        if (
+        if threshold_m is not None and (
             isinstance(threshold_m, bool)
             or not isinstance(threshold_m, int | float | np.number)
             or not threshold_m > 0
@@ -142,7 +142,8 @@ class Settings:
     @cached_property
     def criterion(self) -> Criterion:
         """When AGDC stops; of a set of problems, unless each problem says so."""
-        return chosen(float(self.threshold_m), self.stop, None if self.draws else self.searched.stop)
+        threshold_m = None if self.threshold_m is None else float(self.threshold_m)
+        return chosen(threshold_m, self.stop, Criterion().text if self.draws else self.searched.stop)
 
     @property
     def move(self) -> Move:
@@ -159,7 +160,7 @@ class Settings:
 
     def begin(self, seeds: Sequence[int], threads: int = 1) -> Missions:
         """Return new missions of these seeds."""
-        each = self.draws and self.threshold_m == USUAL_THRESHOLD_M and self.stop is None
+        each = self.draws and self.threshold_m is None and self.stop is None
         return Missions(
             seeds,
             self.observation,
@@ -349,7 +350,7 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
     | `observation` | `"polar"` | `"polar-2"` or `"paper"` |
     | `reward` | `"cost"` | `"way"` or `"paper"` |
     | `particles` | 500 | particles of the filter |
-    | `threshold_m` | 0.5 | ζ, m |
+    | `threshold_m` | None | ζ, m: short for the stop `"spread:ζ"` |
     | `budget` | None | most steps; None, also of the next one: the problem's |
     | `world` | None | how gas moves and the truth differs: a name, as `--world` takes it |
     | `assume` | `"paper"` | or `"field"`: what the estimator takes to be known |

@@ -10,7 +10,7 @@ from agent.planning.moves import Reach
 from agent.policies import DEFAULT, reach
 from agent.together import choose_all
 from agent.trials.rounds import Rounds
-from estimator.criterion import USUAL_THRESHOLD_M, chosen
+from estimator.criterion import chosen
 from estimator.filter import Config, Posterior
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
@@ -159,7 +159,7 @@ def rollout(
     seed: int,
     policy: str = DEFAULT,
     particles: int = 1000,
-    threshold_m: float = USUAL_THRESHOLD_M,
+    threshold_m: float | None = None,
     budget: int | None = None,
     moves: Mapping[str, float] = OWN_MOVES,
     *,
@@ -178,7 +178,8 @@ def rollout(
         seed: Draws the scenario and all noise; a whole number from 0.
         policy: A name of `plumeward.policies()`, or the path of a bundle.
         particles: Particles of the filter.
-        threshold_m: The search stops when the spread of the belief is below it, m.
+        threshold_m: The search stops when the spread of the belief is below it, m; None: the problem's
+            stop, by default 0.5 m.
         budget: Moves after which the mission is given up; None: the problem's.
         moves: Of a planner: `headings`, `step` (m) and `measurements`, where its own are not wanted.
         problem: What is searched: a `plumeward.Problem`, `"paper"`, or the path of a YAML file. The other
@@ -187,7 +188,7 @@ def rollout(
             `plumeward list worlds` shows, or several: `"puffs:share=0.2+wind-30"`; None: the problem's.
         assume: What the estimator takes to be known: `field` or `paper`, where all but the position is
             known.
-        stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
+        stop: The stop criterion, instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
             when at least 99% of the belief is
             within 1 m of the estimate.
         vehicles: Vehicles that search together, with one belief and one stop.

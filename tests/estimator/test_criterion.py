@@ -75,12 +75,13 @@ def test_other_criteria_are_refused_with_what_is_wanted(text: str) -> None:
 
 
 def test_one_of_a_threshold_and_a_criterion_can_be_given() -> None:
-    assert chosen(0.3, None) == Criterion(0.3)
-    assert chosen(0.5, "within:2,0.9") == Criterion(within=(2.0, 0.9))
-    with pytest.raises(
-        ValueError, match=r"stop 'spread:1' is not allowed with threshold_m 0.3; wanted one of them"
-    ):
-        chosen(0.3, "spread:1")
+    assert chosen(0.3, None, "spread:9") == Criterion(0.3)
+    assert chosen(0.5, None, "spread:9") == Criterion(0.5)  # as of a problem that says nothing, but given
+    assert chosen(None, "within:2,0.9", "spread:9") == Criterion(within=(2.0, 0.9))
+    assert chosen(None, None, "spread:9") == Criterion(9.0)
+    for threshold_m in (0.3, 0.5):
+        with pytest.raises(ValueError, match=rf"'spread:1' is not allowed with threshold_m {threshold_m};"):
+            chosen(threshold_m, "spread:1", "spread:9")
 
 
 # Weights 0.7, 0.2, 0.1 at x = 10, 11, 14, y = 5: the mean is x = 10.6, so they lie 0.6, 0.4 and 3.4 m from

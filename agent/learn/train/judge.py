@@ -12,7 +12,6 @@ from agent.bundle import read, write
 from agent.learn.env import Settings
 from agent.trials.evaluate import FIRST_TEST_SEED, named, print_table
 from agent.trials.sweep import Sweep, flown, journal_of, on_cores
-from estimator.criterion import USUAL_THRESHOLD_M
 from plume.problem import PAPER
 
 
@@ -30,7 +29,7 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
     if page.evaluation:
         return
     settings = Settings(**page.training["env"])
-    settings = replace(settings, threshold_m=USUAL_THRESHOLD_M, budget=None)  # what it is flown with
+    settings = replace(settings, threshold_m=None, budget=None)  # what it is flown with
     stop = settings.criterion
     sweep = Sweep(
         [str(bundle)],

@@ -222,9 +222,16 @@ def test_a_stop_at_the_last_step_of_the_budget_terminates_and_does_not_truncate(
 
 def test_the_budget_is_300_moves_and_zeta_half_a_metre_as_elsewhere() -> None:
     settings = SourceSearch().settings
-    assert (settings.searched.budget, settings.threshold_m, settings.particles) == (300, 0.5, 500)
+    assert (settings.searched.budget, settings.particles) == (300, 500)
     assert (settings.assume, settings.criterion.text) == ("paper", "spread:0.5")
     assert SourceSearch(stop="within:2,0.9").settings.criterion.text == "within:2,0.9"
+
+
+def test_a_threshold_comes_before_the_stop_of_a_problem() -> None:
+    field = {"stop": "spread:9"}
+    assert SourceSearch(problem=field).settings.criterion.text == "spread:9"
+    assert SourceSearch(problem=field, threshold_m=0.5).settings.criterion.text == "spread:0.5"
+    assert SourceSearch(problem=field, stop="spread:0.5").settings.criterion.text == "spread:0.5"
 
 
 def test_infos_tell_of_the_mission() -> None:

@@ -21,6 +21,7 @@ from plume.scenario import AS_MODELLED, Scenario, draw
 from plume.sensors.names import KINDS, parse
 from plume.worlds.errors import WRONG
 from plume.worlds.world import World
+from plumeward.evaluation import evaluate
 
 
 def test_a_rollout_is_a_function_of_its_seed() -> None:
@@ -128,6 +129,15 @@ def test_a_spread_is_the_same_stop_in_its_short_and_its_long_form() -> None:
     )
     assert short[1] == long[1]
     assert short[0].ceased
+
+
+def test_a_given_threshold_comes_before_the_stop_of_a_problem() -> None:
+    """That is so of the paper's, too, which is the one of a problem that does not say its own."""
+    brief, problem = {"particles": 50, "budget": 1}, {"stop": "spread:9"}
+    for given, stop in (({}, "spread:9"), ({"threshold_m": 0.5}, "spread:0.5")):
+        assert rollout(1, **brief, problem=problem, **given)[0].stop == stop
+        (figures,) = evaluate("greedy", 1, **brief, problem=problem, **given).values()
+        assert figures["stop"] == stop
 
 
 def test_a_stop_within_a_radius_comes_when_enough_particles_are_there() -> None:
