@@ -42,8 +42,8 @@ class PolicyError(ValueError):
 
 
 def named() -> tuple[str, ...]:
-    """Return the names of all policies. The path of a bundle is a policy too."""
-    return (*OURS, *(plugin.name for plugin in entry_points(group=PLUGINS)))
+    """Return the names of all policies, each once. The path of a bundle is a policy too."""
+    return tuple(dict.fromkeys((*OURS, *(plugin.name for plugin in entry_points(group=PLUGINS)))))
 
 
 def policies() -> dict[str, str]:
@@ -58,7 +58,8 @@ def policies() -> dict[str, str]:
         True
     """
     planned = {name: _first_line(module) for name, module in registry.PLANNERS.items()}
-    return planned | LEARNED | {plugin.name: _about(plugin) for plugin in entry_points(group=PLUGINS)}
+    plugged = {it.name: _about(it) for it in entry_points(group=PLUGINS) if it.name not in OURS}
+    return planned | LEARNED | plugged
 
 
 def _first_line(module: str) -> str:

@@ -451,9 +451,11 @@ def test_a_name_that_two_packages_plug_in_is_refused(tmp_path: Path, plug: Plug)
 
 
 def test_a_package_does_not_replace_what_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    install(tmp_path, "usurper", "def b(*_): return 2, 1", greedy="b")
+    names, told = named(), policies.policies()
+    install(tmp_path, "usurper", "def b(*_): return 2, 1", greedy="b", ppo="b")
     monkeypatch.syspath_prepend(tmp_path)
     assert rollout(1, "greedy", 100, budget=3)[1][-1].position != (2, 1)
+    assert (named(), policies.policies()) == (names, told)
 
 
 def test_a_policy_draws_by_seed_and_step_alone(plug: Plug) -> None:
