@@ -178,7 +178,7 @@ class Settings:
         """
         if render_mode not in (None, *RENDERING["render_modes"]):
             raise ValueError(f"render_mode {render_mode!r} is not allowed; wanted None or 'rgb_array'")
-        return Onlooker(self.criterion.text, self.assume, self.searched.budget) if render_mode else None
+        return Onlooker(self.assume) if render_mode else None
 
     def actions(self, given: Any, *count: int) -> NDArray[Any]:
         """Return `count` actions as an array, (B,) or (B, 2); without a count a single one, () or (2,).
@@ -383,12 +383,13 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
 
         `options={"problem": …}` is another problem, until the next reset.
         """
-        self.searching = _searching(self.settings, options)
+        searching = _searching(self.settings, options)
         seed = None if seed is None else _seed(seed)
         super().reset(seed=seed)
-        self.missions = self.searching.begin(
+        self.missions = searching.begin(
             [int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed]
         )
+        self.searching = searching
         if self.onlooker:
             self.onlooker.look(self.missions)
         return self.missions.observations[0].copy(), _first(_told(self.missions))
@@ -463,7 +464,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         Without a seed, the next ones are drawn. `options={"problem": …}` is the problem of all of them and of
         those that follow, until the next reset. Raises like `SourceSearch.reset`.
         """
-        self.searching = _searching(self.settings, options)
+        searching = _searching(self.settings, options)
         if seed is None and self._draws:
             seeds = [self._next(i) for i in range(self.num_envs)]
         else:
@@ -478,11 +479,8 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             if len(seeds) != self.num_envs:
                 raise ValueError(f"{len(seeds)} seeds for {self.num_envs} missions")
             self._draws = [np.random.default_rng(each) for each in seeds]
-        if self.missions is None:
-            self.missions = self.searching.begin(seeds, self.threads)
-        else:
-            self.missions.draws = self.searching.draws or self.searching.searched
-            self.missions.begin(np.arange(self.num_envs), seeds)
+        self.missions = searching.begin(seeds, self.threads)
+        self.searching = searching
         if self.onlooker:
             self.onlooker.look(self.missions)
         return self.missions.observations.copy(), _told(self.missions)

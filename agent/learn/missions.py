@@ -77,12 +77,12 @@ class Missions:
         self.facts = np.empty((count, len(of.FACTS)))  # what is known of each mission
         self._sources = np.empty((2, count, 2))  # the second is the first where there is none
         self._noise = Keyed()
-        self.draws = problem
+        self._draws = problem
         self.problems = [self._problem(seed) for seed in self.seeds.tolist()]
         self.grounds = Grounds(count)
         self.sites = np.empty((count, of.SITE))
         self.budgets = np.empty(count, np.int64)
-        self._criteria = [Criterion()] * count
+        self.criteria = [Criterion()] * count  # when each stops
         self._thresholds_m = np.empty(count)
         # For judging and showing only.
         self.worlds = [self._world(*pair) for pair in zip(self.seeds.tolist(), self.problems, strict=True)]
@@ -101,7 +101,7 @@ class Missions:
         self._read(missions)
 
     def _problem(self, seed: int) -> Problem:
-        return self.draws if isinstance(self.draws, Problem) else self.draws(seed)
+        return self._draws if isinstance(self._draws, Problem) else self._draws(seed)
 
     def _world(self, seed: int, problem: Problem) -> World:
         return World(draw(seed, problem), seed, name=problem.world, problem=problem)
@@ -178,7 +178,7 @@ class Missions:
         self.facts[mission, of.RATE : of.LIFETIME + 1] = known
         problem, its_seed = self.problems[mission], derived_seed(seed, "estimator")
         criterion = self._criterion or parse(problem.stop)
-        self._criteria[mission], self._thresholds_m[mission] = criterion, criterion.threshold_m
+        self.criteria[mission], self._thresholds_m[mission] = criterion, criterion.threshold_m
         self.grounds.put(mission, problem.ground)
         self.sites[mission], self.budgets[mission] = of.site_of(problem), problem.budget
         return Config(
@@ -222,7 +222,7 @@ class Missions:
         self.outside[missions] = [self._batch.share_outside(mission) for mission in missions.tolist()]
         narrow = self.spreads_m[missions] < self._thresholds_m[missions]
         near = narrow | (self.outside[missions] >= SURE_OUTSIDE)
-        near |= [bool(self._criteria[mission].within) for mission in missions.tolist()]
+        near |= [bool(self.criteria[mission].within) for mission in missions.tolist()]
         for mission in missions[near].tolist():
             self.ceased[mission] = self._batch.has_ceased(mission)
         totals, rows = self._batch.weights.sum(axis=1), observation.rows_of(self._batch.unknowns)

@@ -24,8 +24,8 @@ Pixels = NDArray[np.uint8]  # (540, 960, 3)
 class Onlooker:
     """Looks at missions and draws them. It knows the truth, and changes nothing."""
 
-    def __init__(self, stop: str, assume: str, budget: int) -> None:
-        self._stop, self._assume, self._budget = stop, assume, budget
+    def __init__(self, assume: str) -> None:
+        self._assume = assume
         self._taken: list[list[Measurement]] = []
         # One of scene/drawing.py for each mission; None until it is drawn.
         self._drawings: list[Any] = []
@@ -54,7 +54,7 @@ class Onlooker:
             ) from None
         scene = self.scene(missions, i)
         if self._drawings[i] is None:
-            self._drawings[i] = Drawing(scene, steps=min(self._budget, 30))
+            self._drawings[i] = Drawing(scene, steps=min(int(missions.budgets[i]), 30))
         return np.asarray(self._drawings[i].show(scene).pixels())
 
     def scene(self, missions: Missions, i: int) -> Scene:
@@ -71,7 +71,7 @@ class Onlooker:
             measurements=tuple(taken),
             scatter=missions.scatter(i),
             wind=world.wind,
-            stop=self._stop,
+            stop=missions.criteria[i].text,
             assume=self._assume,
             ending=self._ending(last, float(missions.outside[i]), release, missions.problems[i]),
         )

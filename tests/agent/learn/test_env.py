@@ -164,10 +164,6 @@ def test_a_set_of_problems_has_another_one_for_each_seed() -> None:
         ({}, "problem 'anywhere' is not allowed with the observation 'polar'; wanted polar-2"),
         ({"observation": "polar-2", "budget": 5}, "budget is not allowed with problem 'anywhere'"),
         ({"observation": "polar-2", "world": "puffs"}, "world is not allowed with problem 'anywhere'"),
-        (
-            {"observation": "polar-2", "render_mode": "rgb_array"},
-            "'anywhere' is a set of problems; wanted one",
-        ),
     ],
 )
 def test_what_a_set_of_problems_does_not_allow_is_said(settings: dict[str, Any], line: str) -> None:
@@ -433,6 +429,34 @@ def test_a_reset_with_a_problem_flies_it_until_the_next_reset() -> None:
         assert FIELD.area.holds(place)
     usual = make().reset(seed=3)[0].tobytes()
     assert reset.reset(seed=3)[0].tobytes() == usual == several.reset(seed=3)[0][0].tobytes()
+
+
+@pytest.mark.parametrize("changes", [{"stop": "spread:14", "budget": 20}, {"world": "puffs+readings-lost"}])
+def test_many_and_one_fly_the_stop_and_the_world_of_a_resets_problem(changes: dict[str, Any]) -> None:
+    one, many = SourceSearch(particles=60), SourceSearchVector(particles=60)
+    for options in (None, {"problem": changes}, None):  # there, and back again
+        alone, several = one.reset(seed=5, options=options), many.reset(seed=5, options=options)
+        assert alone[0].tobytes() == several[0][0].tobytes()
+        over = False
+        for _ in range(20):
+            alone_seen, *alone_said, _ = one.step(0)
+            seen, rewards, terminated, truncated, _ = many.step(np.zeros(1, int))
+            assert alone_said == [rewards[0], terminated[0], truncated[0]]
+            if over := alone_said[1] or alone_said[2]:
+                break
+            assert alone_seen.tobytes() == seen[0].tobytes()
+        assert over == ("stop" in changes and options is not None)
+
+
+def test_a_refused_reset_changes_nothing() -> None:
+    one, many = SourceSearch(**QUICK), SourceSearchVector(**QUICK)
+    for env in (one, many):
+        env.reset(seed=5)
+        with pytest.raises(ValueError, match="seed -1"):
+            env.reset(seed=-1, options={"problem": {"budget": 1, "step_m": 0.1}})
+    (_, _, over, cut, told), (_, _, overs, cuts, infos) = one.step(0), many.step(np.zeros(1, int))
+    assert [over, cut, overs[0], cuts[0]] == [False] * 4
+    assert told["distance_m"] == infos["distance_m"][0] == pytest.approx(1.0, abs=1e-5)
 
 
 def test_the_budget_is_the_problems() -> None:

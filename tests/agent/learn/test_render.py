@@ -14,7 +14,9 @@ from gymnasium.utils.env_checker import check_env
 
 import plumeward  # noqa: F401  registers the environments
 from agent.learn.env import SourceSearch, SourceSearchVector
+from agent.learn.problems import anywhere
 from agent.learn.render import Onlooker
+from estimator.criterion import parse
 from plume.scenario import draw
 from plume.worlds.world import World
 
@@ -101,6 +103,32 @@ def test_the_end_of_a_mission_is_judged() -> None:
     assert short.onlooker.scene(short.missions, 0).ending is None  # type: ignore[union-attr, arg-type]
     short.step(3)
     assert short.onlooker.scene(short.missions, 0).ending.verdict == "not ceased"  # type: ignore[union-attr, arg-type]
+
+
+def test_a_scene_has_the_stop_and_the_budget_of_the_resets_problem() -> None:
+    one, many = (
+        SourceSearch("rgb_array", particles=60),
+        SourceSearchVector(render_mode="rgb_array", particles=60),
+    )
+    problem = {"stop": "within:2,0.9", "budget": 3}
+    for env in (one, many):
+        env.reset(seed=5)
+        env.reset(seed=5, options={"problem": problem})
+        assert env.onlooker.scene(env.missions, 0).stop == "within:2,0.9"  # type: ignore[union-attr, arg-type]
+        env.render()
+        assert env.onlooker._drawings[0]._room[0] == 3  # type: ignore[union-attr]
+        env.reset(seed=5)
+        assert env.onlooker.scene(env.missions, 0).stop == "spread:0.5"  # type: ignore[union-attr, arg-type]
+
+
+def test_a_set_of_problems_is_drawn_each_as_it_is() -> None:
+    env = SourceSearch("rgb_array", problem="anywhere", observation="polar-2", particles=60)
+    for seed in (1, 2):
+        env.reset(seed=seed)
+        scene = env.onlooker.scene(env.missions, 0)  # type: ignore[union-attr, arg-type]
+        assert scene.backdrop.area == anywhere(seed).area
+        assert parse(scene.stop) == parse(anywhere(seed).stop)
+        assert env.render() is not None
 
 
 def test_frames_differ_as_the_vehicle_moves_and_the_next_mission_has_a_picture_of_its_own() -> None:
