@@ -5,8 +5,6 @@
 `gymnasium.make_vec` makes many at once.
 """
 
-import math
-import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -29,6 +27,7 @@ from estimator.criterion import FORMS, Criterion, chosen
 from plume.elementary import Array
 from plume.problem import Problem
 from plume.problems import names
+from plume.problems.values import short, whole
 from plume.randomness import MAX_SEED
 from plume.sensors.names import GAUSSIAN
 
@@ -79,7 +78,7 @@ class Settings:
             raise ValueError(f"world {self.world!r} is not allowed; wanted its name")
         for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
             if getattr(self, name) is not None:
-                _whole(name, getattr(self, name), least)
+                whole(name, getattr(self, name), least)
         threshold_m: Any = self.threshold_m
         if threshold_m is not None and (
             isinstance(threshold_m, bool)
@@ -199,10 +198,10 @@ class Settings:
         try:
             actions = np.asarray(given)
         except ValueError:  # rows of different lengths
-            raise ActionError(f"action {_short(given)} is not allowed; {wanted}") from None
+            raise ActionError(f"action {short(given)} is not allowed; {wanted}") from None
         if actions.dtype.kind not in kinds or actions.shape != shape:
             raise ActionError(
-                f"action {_short(given)} ({actions.dtype}, shape {actions.shape}) is not allowed; {wanted}"
+                f"action {short(given)} ({actions.dtype}, shape {actions.shape}) is not allowed; {wanted}"
             )
         good = np.isfinite(actions) if self.continuous else (actions >= 0) & (actions < self.headings)
         if not good.all():
@@ -220,36 +219,36 @@ class Settings:
         for mission, ground in missions.grounds.fenced.items():
             (x, y), (east, north) = missions.positions[mission].tolist(), waypoints[mission].tolist()
             waypoints[mission] = Reach(area=ground).freed((x, y), (east, north))
-        step, stop = REWARDS[self.reward]
-        steps = step * missions.shares_of(WAY) if self.reward == "way" else np.full(len(waypoints), step)
+        steps = self.pay(missions.frames, missions.problems)
         missions.move(waypoints)
         terminated: Flags = missions.ceased.copy()
         truncated: Flags = ~terminated & (missions.steps >= missions.budgets)
-        return np.where(terminated, steps + stop, steps), terminated, truncated
+        return np.where(terminated, steps + REWARDS[self.reward][1], steps), terminated, truncated
+
+    def pay(self, frames: Array, problems: Sequence[Problem]) -> Array:
+        """Return the reward of a move in each of these frames (B, 3), without that of a stop: (B,).
+
+        A move is as long as the frame's unit, whether or not an edge cuts it off.
+        """
+        step, _ = REWARDS[self.reward]
+        if self.reward != "way":
+            return np.full(len(frames), step)
+        lengths_m = np.sqrt(np.square(frames[:, :2]).sum(axis=1))
+        sides_m = np.array([problem.area.side_m for problem in problems])
+        return np.asarray(step * (lengths_m / (WAY * sides_m)))
 
 
-def _whole(name: str, value: Any, least: int, most: float = math.inf) -> int:
-    """Return a whole number within these limits. Raises ValueError."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
-        limit = "" if most == math.inf else f" to {most}"
-        raise ValueError(f"{name} {_short(value)} is not allowed; wanted a whole number from {least}{limit}")
-    return int(value)
+def checked_seed(value: Any) -> int:
+    """Return the seed that a reset is given. Raises ValueError."""
+    return whole("seed", value, 0, MAX_SEED)
 
 
-def _short(value: Any) -> str:
-    return " ".join(reprlib.repr(value).split())
-
-
-def _seed(value: Any) -> int:
-    return _whole("seed", value, 0, MAX_SEED)
-
-
-def _searching(settings: Settings, options: Any) -> Settings:
+def with_options(settings: Settings, options: Any) -> Settings:
     """Return the settings with the problem of a reset's options. Raises ValueError on other options."""
     if not options:
         return settings
     if not isinstance(options, Mapping) or options.keys() != {"problem"}:
-        raise ValueError(f"options {_short(options)} are not allowed; wanted none, or {{'problem': …}}")
+        raise ValueError(f"options {short(options)} are not allowed; wanted none, or {{'problem': …}}")
     return replace(settings, problem=options["problem"])
 
 
@@ -383,8 +382,8 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
 
         `options={"problem": …}` is another problem, until the next reset.
         """
-        searching = _searching(self.settings, options)
-        seed = None if seed is None else _seed(seed)
+        searching = with_options(self.settings, options)
+        seed = None if seed is None else checked_seed(seed)
         super().reset(seed=seed)
         self.missions = searching.begin(
             [int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed]
@@ -443,7 +442,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         Raises like `SourceSearch`.
         """
         for name, value in (("num_envs", num_envs), ("threads", threads)):
-            _whole(name, value, 1)
+            whole(name, value, 1)
         self.num_envs = num_envs
         self.settings = Settings.of(settings, "num_envs", "threads", "render_mode")
         self.render_mode = render_mode
@@ -464,7 +463,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         Without a seed, the next ones are drawn. `options={"problem": …}` is the problem of all of them and of
         those that follow, until the next reset. Raises like `SourceSearch.reset`.
         """
-        searching = _searching(self.settings, options)
+        searching = with_options(self.settings, options)
         if seed is None and self._draws:
             seeds = [self._next(i) for i in range(self.num_envs)]
         else:
@@ -473,9 +472,9 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             several = (
                 seed
                 if isinstance(seed, Sequence | np.ndarray)
-                else [_seed(seed) + i for i in range(self.num_envs)]
+                else [checked_seed(seed) + i for i in range(self.num_envs)]
             )
-            seeds = [_seed(each) for each in several]
+            seeds = [checked_seed(each) for each in several]
             if len(seeds) != self.num_envs:
                 raise ValueError(f"{len(seeds)} seeds for {self.num_envs} missions")
             self._draws = [np.random.default_rng(each) for each in seeds]

@@ -122,15 +122,6 @@ class Missions:
         self.positions[:] = waypoints
         self._read(np.arange(len(self.steps)))
 
-    def shares_of(self, part: float) -> Array:
-        """Return how long the next move is, as a multiple of this part of its area's side: (B,).
-
-        It is the observation's, whether or not an edge cuts it off.
-        """
-        lengths_m = np.sqrt(np.square(self.frames[:, :2]).sum(axis=1))
-        sides_m = np.array([problem.area.side_m for problem in self.problems])
-        return np.asarray(lengths_m / (part * sides_m))
-
     @property
     def located(self) -> NDArray[np.bool_]:
         """Whether the estimate is within the success radius, and not said to be outside; for judging only."""

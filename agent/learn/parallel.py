@@ -9,7 +9,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.seeding import np_random
 from pettingzoo import ParallelEnv
 
-from agent.learn.env import REWARDS, TRAINING_SEEDS, Settings
+from agent.learn.env import REWARDS, TRAINING_SEEDS, Settings, checked_seed, with_options
 from agent.observation import SCHEMAS, Frame, Observation
 from agent.planning.apart import Shared
 from agent.planning.moves import Reach
@@ -31,7 +31,7 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
     is turned aside, or the vehicle stays where it is.
 
     Arguments: `vehicles` (2), `formation` ("point") and `separation_m` (3), as `plumeward.rollout` takes
-    them; the others are those of `SourceSearch`. Options of a reset have no effect. Nothing is drawn.
+    them; the others are those of `SourceSearch`, and so is a reset's option `problem`. Nothing is drawn.
 
     Examples:
         >>> env = plumeward.SourceSearchParallel(vehicles=3)
@@ -50,8 +50,9 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
         """Raises ValueError, or TypeError on an unknown argument; the message says what is allowed."""
         self.settings = Settings.of(settings, *OF_FLEET)
         self.fleet = Fleet(vehicles, formation, separation_m).within(self.settings.searched)
+        self.searching = self.settings  # with the problem of the last reset
         self.render_mode = None
-        self.possible_agents = [f"uav_{number}" for number in range(1, vehicles + 1)]
+        self.possible_agents = [f"uav_{number}" for number in range(1, self.fleet.vehicles + 1)]
         self.agents: list[str] = []
         self.observation_spaces = {agent: self.settings.spaces()[0] for agent in self.possible_agents}
         self.action_spaces = {agent: self.settings.spaces()[1] for agent in self.possible_agents}
@@ -69,21 +70,30 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Begin the mission of a seed, by default one of those of training; takes its first readings."""
+        """Begin the mission of a seed, by default one of those of training; takes its first readings.
+
+        Seeds and the option `problem` are those of `SourceSearch.reset`, which says what it raises. Other
+        options have no effect: PettingZoo's own test gives one.
+        """
+        known = {name: value for name, value in (options or {}).items() if name == "problem"}
+        searching = with_options(self.settings, known)
+        fleet = self.fleet.within(searching.searched)
         if seed is not None:
+            seed = checked_seed(seed)
             self._rng, _ = np_random(seed)
-        self._seed = int(self._rng.integers(TRAINING_SEEDS)) if seed is None else int(seed)
-        criterion = self.settings.criterion
+        self._seed = int(self._rng.integers(TRAINING_SEEDS)) if seed is None else seed
+        criterion = searching.criterion
         world, config = prepared(
             self._seed,
-            self.settings.searched,
-            self.settings.particles,
+            searching.searched,
+            searching.particles,
             criterion.threshold_m,
-            assume=self.settings.assume,
+            assume=searching.assume,
             within=criterion.within,
         )
-        self._truth = world.truth
-        self._rounds = Rounds(world, config, self.fleet.starts(world.start, self._seed, config.area))
+        starts = fleet.starts(world.start, self._seed, config.area)
+        self.searching, self._truth = searching, world.truth
+        self._rounds = Rounds(world, config, starts)
         self.agents = list(self.possible_agents)
         self._distances_m = [0.0] * len(self.agents)
         self._look(self._rounds.fly(self._rounds.places))
@@ -105,22 +115,24 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
         if self._rounds is None or not self.agents:
             raise ResetNeeded("call reset before step")
         checked = [self.settings.actions(actions[agent])[None] for agent in self.agents]
-        places, area = self._rounds.places, self.settings.searched.ground
+        places, area = self._rounds.places, self.searching.searched.ground
 
         def waypoint(vehicle: int, _reach: Shared) -> Place:
             here, frame = np.array([places[vehicle]]), self._frames[vehicle][None]
-            x, y = self.settings.move.waypoints(here, frame, checked[vehicle], area)[0].tolist()
+            x, y = self.searching.move.waypoints(here, frame, checked[vehicle], area)[0].tolist()
             return x, y
 
         chosen = in_turn(Reach(area=area), places, self.fleet.separation_m, waypoint)
         for vehicle, (start, end) in enumerate(zip(places, chosen, strict=True)):
             self._distances_m[vehicle] += math.dist(start, end)
+        problem = self.searching.searched
+        paid = self.searching.pay(np.array(self._frames), [problem] * len(places)).tolist()
         self._look(self._rounds.fly(chosen))
-        step, stop = REWARDS[self.settings.reward]
         ceased = self._round.belief.ceased
-        spent = not ceased and self._rounds.number > self.settings.searched.budget
+        spent = not ceased and self._rounds.number > problem.budget
         observations, told = self._observations, self._told()
-        rewards = dict.fromkeys(self.agents, step + stop if ceased else step)
+        stop = REWARDS[self.settings.reward][1] if ceased else 0.0
+        rewards = {agent: pay + stop for agent, pay in zip(self.agents, paid, strict=True)}
         ends, cuts = dict.fromkeys(self.agents, ceased), dict.fromkeys(self.agents, spent)
         if ceased or spent:
             self.agents = []
@@ -134,14 +146,14 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
         schema = SCHEMAS[self.settings.observation]
         for agent, reading in zip(self.agents, flown.readings, strict=True):
             seen = seen_by(flown.belief, reading.position, reading.gas)
-            self._observations[agent], frame = schema.see(seen, flown.particles, self.settings.searched)
+            self._observations[agent], frame = schema.see(seen, flown.particles, self.searching.searched)
             self._frames.append(frame)
 
     def _told(self) -> dict[str, dict[str, Any]]:
         """Return the infos; policies do not see them. They are those of `SourceSearch`."""
         said, source = self._round.belief, self._truth.nearest(self._round.belief.mean)
         located = (
-            verdict(said.ceased, said.mean, source, said.outside, self.settings.searched.area) == "located"
+            verdict(said.ceased, said.mean, source, said.outside, self.searching.searched.area) == "located"
         )
         return {
             agent: {

@@ -9,6 +9,7 @@ import numpy as np
 from plume.elementary import Array
 from plume.polygons.obstacles import Obstacles
 from plume.problem import AREA, Area, Problem
+from plume.problems.values import number, whole
 from plume.randomness import keyed, seed_of, uniform
 from plume.scenario import SEPARATION_M
 
@@ -37,12 +38,10 @@ class Fleet:
     separation_m: float = SEPARATION_M  # least distance between the ways of two vehicles, m
 
     def __post_init__(self) -> None:
-        if not 1 <= self.vehicles <= MOST_VEHICLES:
-            raise ValueError(f"--vehicles: {self.vehicles} is not allowed; wanted 1 to {MOST_VEHICLES}")
-        if self.formation not in FORMATIONS:
+        whole("--vehicles:", self.vehicles, 1, MOST_VEHICLES)
+        if not isinstance(self.formation, str) or self.formation not in FORMATIONS:
             raise ValueError(f"--from: {self.formation!r} is not allowed; wanted {', '.join(FORMATIONS)}")
-        if not self.separation_m >= 0:
-            raise ValueError(f"--separation: {self.separation_m:g} is not allowed; wanted 0 m at least")
+        number("--separation:", self.separation_m, 0, FARTHEST_APART_M)
 
     def within(self, problem: Problem) -> "Fleet":
         """Return it. Raises ValueError if a problem does not let it start so."""
