@@ -81,6 +81,8 @@ def check(name: str) -> None:
 
     The policy is not loaded, which may take seconds.
     """
+    if not isinstance(name, str):
+        raise ValueError(f"{name!r:.60} is not allowed; wanted {_wanted()}")
     if name in registry.PLANNERS:
         return
     if path := bundle_path(name):
@@ -91,9 +93,11 @@ def check(name: str) -> None:
         except BundleError as error:
             raise ValueError(f"{path}: {error}") from error
     elif not entry_points(group=PLUGINS, name=name):
-        raise ValueError(
-            cli.not_allowed(name, named(), f"{', '.join(named())}, or the path of a bundle, FILE.zip")
-        )
+        raise ValueError(cli.not_allowed(name, named(), _wanted()))
+
+
+def _wanted() -> str:
+    return f"{', '.join(named())}, or the path of a bundle, FILE.zip"
 
 
 def policy(name: str) -> Policy:

@@ -3,7 +3,10 @@
 import math
 from typing import NamedTuple
 
+from plume.problems.values import number
+
 USUAL_THRESHOLD_M = 0.5
+WIDEST_M = 100.0  # greatest ζ, and greatest radius
 FORMS = "spread:Z, metres, or within:R,P, metres and a share"
 
 
@@ -34,9 +37,10 @@ def parse(text: str) -> Criterion:
         numbers = []
     match kind, numbers:
         case "spread", [threshold_m]:
-            sound, rule = 0 < threshold_m <= 100, "Z above 0 up to 100 m"
+            sound, rule = 0 < threshold_m <= WIDEST_M, f"Z above 0 up to {WIDEST_M:g} m"
         case "within", [radius_m, share]:
-            sound, rule = 0 < radius_m <= 100 and 0 < share <= 1, "R above 0 up to 100 m, P above 0 up to 1"
+            sound = 0 < radius_m <= WIDEST_M and 0 < share <= 1
+            rule = f"R above 0 up to {WIDEST_M:g} m, P above 0 up to 1"
         case _:
             sound, rule = False, FORMS
     if not sound or not all(map(math.isfinite, numbers)):
@@ -47,13 +51,18 @@ def parse(text: str) -> Criterion:
 def chosen(threshold_m: float | None, stop: str | None, usual: str) -> Criterion:
     """Return the criterion of two arguments of which one may be given, else the usual one.
 
-    `threshold_m` is the short form of `stop="spread:…"`. Raises ValueError if both are given, or if `stop` is
-    not allowed.
+    `threshold_m` is the short form of `stop="spread:…"`. Raises ValueError if both are given, or one is not
+    allowed.
     """
-    if threshold_m is not None and stop is not None:
-        raise ValueError(f"stop {stop!r} is not allowed with threshold_m {threshold_m:g}; wanted one of them")
     if threshold_m is not None:
+        threshold_m = number("threshold_m", threshold_m, 0, WIDEST_M, above=True)
+        if stop is not None:
+            raise ValueError(
+                f"stop {stop!r} is not allowed with threshold_m {threshold_m:g}; wanted one of them"
+            )
         return Criterion(threshold_m)
+    if not isinstance(stop, str | None):
+        raise ValueError(f"stop {stop!r} is not allowed; wanted {FORMS}")
     try:
         return parse(usual if stop is None else stop)
     except ValueError as error:

@@ -3,6 +3,7 @@
 Each reading is assimilated by reweighting, and where needed resampling and moving.
 """
 
+import sys
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,11 +16,13 @@ from estimator.kernels.densities import Model, log_priors
 from estimator.kernels.update import WeightedSample, update
 from estimator.priors import Prior, draw, table
 from link.bus.mavlink import Reading
+from link.cli import FARTHEST_OUT_M
 from plume.elementary import Array, Indices
 from plume.flight import leg_s
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.polygons.parts import numbered_sides
 from plume.problem import AREA, Area, Fenced, PriorParts
+from plume.problems.values import number
 from plume.randomness import keyed
 from plume.scenario import LIFETIME_S
 from plume.sensors.instruments import Instrument
@@ -72,6 +75,13 @@ class Config:
                 f"sensor {self.sensor!r} is not allowed; wanted a sensor, such as "
                 "plume.sensors.names.parse('hits:3,0.1')"
             )
+        if self.margin_m is not None:
+            number("margin_m", self.margin_m, 0, FARTHEST_OUT_M)
+        for argument, by_name in (("priors", self.priors), ("stop_limits", self.stop_limits)):
+            if not isinstance(by_name, Mapping):
+                raise TypeError(
+                    f"{argument} {by_name!r:.60} is not allowed; wanted a dict by names of unknowns"
+                )
         for name, given in self.priors.items():
             if not isinstance(given, Prior):
                 raise TypeError(
@@ -80,12 +90,13 @@ class Config:
                 )
         if not len(self.unknown_indices):
             raise ValueError("nothing is unknown: at least one parameter needs a prior that is not fixed")
-        for name in self.stop_limits:
+        for name, limit in self.stop_limits.items():
             if name not in self.unknowns:
                 raise ValueError(
                     f"a stop cannot wait for {name}: it is not unknown; unknown are "
                     f"{', '.join(self.unknowns)}"
                 )
+            number(f"stop_limits: {name}", limit, 0, sys.float_info.max, above=True)
         if not (self.stop_on_location or self.stop_limits):
             raise ValueError("a stop needs a criterion: the location or a limit")
 

@@ -27,6 +27,11 @@ LEAVE_OUT = "leave-out"  # with --doubted: a vehicle whose sensor seems to lie l
 ASSUMPTIONS = ("field", "paper")
 T = TypeVar("T")
 MOST_VEHICLES = 8  # that search together; a test holds it equal to that of `plume.problems.fleet`
+# What the flags of a filter and of planners may be, and the same arguments of functions.
+PARTICLES = (10, 1_000_000)
+FARTHEST_OUT_M = 100_000  # of --margin
+HEADINGS = (4, 8)
+MOST_MEASUREMENTS = 10_000
 COMPLETING = "_ARGCOMPLETE"  # the environment variable by which a shell asks for completions
 
 
@@ -255,7 +260,7 @@ def add_log_argument(parser: argparse.ArgumentParser, default: str = "info") -> 
 
 def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add the flags of the particle filter and its stop; with `several` the first two take lists."""
-    count, threshold = whole(10, 1_000_000), number(0, 100, above=True)
+    count, threshold = whole(*PARTICLES), number(0, 100, above=True)
     more = "; several between commas" if several else ""
     parser.add_argument(
         "--particles",
@@ -285,7 +290,7 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
     )
     parser.add_argument(
         "--margin",
-        type=number(0, 100_000),
+        type=number(0, FARTHEST_OUT_M),
         metavar="M",
         help="how far beyond the edges of the area the source may be, m; there it is less likely (default: a "
         "third of the area's side under field, else 0)",
@@ -346,7 +351,7 @@ def add_reach_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--headings",
         type=int,
-        choices=(4, 8),
+        choices=HEADINGS,
         help="directions that the planner chooses from (default: the planner's own)",
     )
     parser.add_argument(
@@ -357,7 +362,7 @@ def add_reach_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--measurements",
-        type=whole(1, 10_000),
+        type=whole(1, MOST_MEASUREMENTS),
         metavar="K",
         help="hypothetical readings for each move (default: the planner's own)",
     )

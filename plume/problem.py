@@ -381,7 +381,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             raise ValueError(
                 f"area: {self.area.text} is not allowed; wanted sides of at least {SHORTEST_M:g} m"
             )
-        longest_m = width_m / PARTS
+        longest_m = self.longest_step_m
         for name, sound, wanted in (
             ("altitude_m", 0.0 < self.altitude_m <= CEILING_M, f"above 0 up to {CEILING_M:g} m"),
             (
@@ -423,6 +423,11 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             )
         if isinstance(self.ground, Fenced):
             _check_ways(self.ground, self.starts, self.expected, self.sources)
+
+    @property
+    def longest_step_m(self) -> float:
+        """The longest move that is allowed."""
+        return min(self.area.size_m) / PARTS
 
     @property
     def ground(self) -> Area:
@@ -507,7 +512,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         """It without what tables have columns of their own for: step, sensor, world, budget, stop."""
         usual = PAPER
         return self.changed(
-            step_m=min(usual.step_m, min(self.area.size_m) / PARTS),
+            step_m=min(usual.step_m, self.longest_step_m),
             sensor=usual.sensor,
             dwell_s=None,
             world=usual.world,

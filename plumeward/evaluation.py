@@ -1,18 +1,22 @@
 """The figures of policies over many missions, for Python; `plumeward evaluate` is the same for shells."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 from typing import Any
 
 from agent.policies import DEFAULT, policy
-from agent.trials.evaluate import FIRST_TEST_SEED, named
+from agent.trials.evaluate import FIRST_TEST_SEED, MOST_SCENARIOS, MOST_WORKERS, named
 from agent.trials.rollout import check as check_knowledge
+from agent.trials.rollout import check_policy
 from agent.trials.sweep import Sweep, fly, on_cores, ordered
 from estimator.criterion import chosen
+from link.cli import PARTICLES
 from plume.problem import PAPER, Problem
 from plume.problems.fleet import ALONE, Fleet
+from plume.problems.names import named as named_problem
 from plume.problems.names import with_arguments
-from plume.worlds.names import check
+from plume.problems.values import whole
+from plume.randomness import MAX_SEED
 
 
 def evaluate(
@@ -74,14 +78,19 @@ def evaluate(
         (1.0, 34.2)
     """
     searched = with_arguments(problem, budget=budget)
-    names, worlds = (
-        [it] if isinstance(it, str) else list(dict.fromkeys(it))
-        for it in (policies, searched.world if world is None else world)
-    )
+    names, worlds = _each(policies), _each(searched.world if world is None else world)
+    if not names or not worlds:
+        raise ValueError("wanted one policy and one world at least")
+    for name in names:
+        check_policy(name)
     for name in worlds:
-        check(name, searched)
-    if not names or not worlds or scenarios < 1 or workers < 1:
-        raise ValueError("wanted one policy, one world, one scenario and one worker at least")
+        named_problem(searched.changed(world=name))
+    scenarios, workers = (
+        whole("scenarios", scenarios, 1, MOST_SCENARIOS),
+        whole("workers", workers, 1, MOST_WORKERS),
+    )
+    first_seed = whole("first_seed", first_seed, 0, MAX_SEED - scenarios + 1)
+    particles = whole("particles", particles, *PARTICLES)
     check_knowledge(assume, knowledge)
     for name in names:
         policy(name)
@@ -102,3 +111,8 @@ def evaluate(
         else on_cores(workers)(sweep, by_seed)
     )
     return named(ordered((row for rows in flown for row in rows), sweep))
+
+
+def _each(said: Any) -> list[Any]:
+    """Return the names that an argument says, each once: one, or several."""
+    return list(dict.fromkeys(said)) if isinstance(said, Iterable) and not isinstance(said, str) else [said]

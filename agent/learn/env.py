@@ -23,9 +23,10 @@ from agent.learn.render import RENDERING, Onlooker, Pixels
 from agent.observation import BOUND, SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
 from estimator.assumptions import ASSUMPTIONS
-from estimator.criterion import FORMS, Criterion, chosen
+from estimator.criterion import Criterion, chosen
+from link.cli import PARTICLES
 from plume.elementary import Array
-from plume.problem import Problem
+from plume.problem import MOST_STEPS, Problem
 from plume.problems import names
 from plume.problems.values import short, whole
 from plume.randomness import MAX_SEED
@@ -76,18 +77,10 @@ class Settings:
                 raise ValueError(f"{name} {value!r} is not allowed; wanted {' or '.join(allowed)}")
         if not isinstance(self.world, str | None):
             raise ValueError(f"world {self.world!r} is not allowed; wanted its name")
-        for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
-            if getattr(self, name) is not None:
-                whole(name, getattr(self, name), least)
-        threshold_m: Any = self.threshold_m
-        if threshold_m is not None and (
-            isinstance(threshold_m, bool)
-            or not isinstance(threshold_m, int | float | np.number)
-            or not threshold_m > 0
-        ):
-            raise ValueError(f"threshold_m {threshold_m!r} is not allowed; wanted a number above 0")
-        if not isinstance(self.stop, str | None):
-            raise ValueError(f"stop {self.stop!r} is not allowed; wanted {FORMS}")
+        whole("headings", self.headings, 2)
+        whole("particles", self.particles, *PARTICLES)
+        if self.budget is not None:
+            whole("budget", self.budget, 1, MOST_STEPS)
         if self.draws:
             if not SCHEMAS[self.observation].anywhere:
                 raise ValueError(
@@ -141,8 +134,7 @@ class Settings:
     @cached_property
     def criterion(self) -> Criterion:
         """When AGDC stops; of a set of problems, unless each problem says so."""
-        threshold_m = None if self.threshold_m is None else float(self.threshold_m)
-        return chosen(threshold_m, self.stop, Criterion().text if self.draws else self.searched.stop)
+        return chosen(self.threshold_m, self.stop, Criterion().text if self.draws else self.searched.stop)
 
     @property
     def move(self) -> Move:

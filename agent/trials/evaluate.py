@@ -37,6 +37,7 @@ FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
 EXACT = ("threshold_m", "step_m", "margin_m", "separation_m")  # columns that --resume compares with settings
 LONGEST_LINE, MOST_ROWS = 10_000, 1_000_000
+MOST_SCENARIOS, MOST_WORKERS = 10_000_000, 4096
 CUT_OFF = "\0"  # stands for a value that a line of a table lacks
 # Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All are
 # in the JSON.
@@ -94,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_policy_argument(parser, several=True)
     parser.add_argument(
         "--scenarios",
-        type=cli.whole(1, 10_000_000),
+        type=cli.whole(1, MOST_SCENARIOS),
         default=1000,
         metavar="N",
         help="number of missions (default: %(default)s)",
@@ -124,7 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--workers",
-        type=cli.whole(1, 4096),
+        type=cli.whole(1, MOST_WORKERS),
         default=os.cpu_count() or 1,
         metavar="W",
         help="worker processes (default: all cores, %(default)s)",

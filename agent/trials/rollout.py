@@ -1,7 +1,7 @@
 """A mission flown in-process, without the network, with bit-identical results."""
 
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -14,12 +14,14 @@ from estimator.criterion import chosen
 from estimator.filter import Config, Posterior
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
+from link.cli import HEADINGS, MOST_MEASUREMENTS, PARTICLES
 from plume.geodesy import HOME
 from plume.outcome import LastWord, Outcome, TracePoint, interval, outcome
 from plume.problem import PAPER, Problem
 from plume.problems.fleet import ALONE, Fleet
 from plume.problems.names import sensor_of, with_arguments
-from plume.randomness import derived_seed
+from plume.problems.values import number, short, whole
+from plume.randomness import MAX_SEED, derived_seed
 from plume.scenario import Scenario, draw
 from plume.worlds.world import World
 
@@ -103,6 +105,30 @@ def prepared(
         **{"sensor": sensor_of(problem), **knowledge},
     )
     return World(told, seed, config.sensor, problem.world, problem), config
+
+
+def check_policy(name: str, moves: Mapping[str, float] = OWN_MOVES, problem: Problem = PAPER) -> None:
+    """Refuse a policy that is not known, and moves that it cannot choose from. Raises ValueError."""
+    try:
+        policies.check(name)
+    except ValueError as error:
+        raise ValueError(f"policy: {error}") from None
+    if not isinstance(moves, Mapping) or not moves.keys() <= MOVES.keys():
+        raise ValueError(f"moves {short(moves)} are not allowed; wanted a dict of {', '.join(MOVES)}")
+    for flag, value in moves.items():
+        MOVES[flag](f"moves: {flag}", value, problem)
+
+
+def _check_headings(name: str, value: Any, _: Problem) -> None:
+    if isinstance(value, float) or value not in HEADINGS:
+        raise ValueError(f"{name} {short(value)} is not allowed; wanted {' or '.join(map(str, HEADINGS))}")
+
+
+MOVES: Mapping[str, Callable[[str, Any, Problem], object]] = {
+    "headings": _check_headings,
+    "step": lambda name, value, problem: number(name, value, 0, problem.longest_step_m, above=True),
+    "measurements": lambda name, value, _: whole(name, value, 1, MOST_MEASUREMENTS),
+}
 
 
 def check(assume: str, knowledge: Mapping[str, Any]) -> None:
@@ -203,8 +229,8 @@ def rollout(
         the round; steps are rounds, and the distance is that of all.
 
     Raises:
-        ValueError: The policy, the problem or the world is not known, or cannot be flown so; or the
-            assumption or the criterion is not allowed.
+        ValueError: The policy, the problem or the world is not known, or cannot be flown so; or a number,
+            the assumption or the criterion is not allowed.
         TypeError: There is no such argument, or the sensor or a prior is something else, such as its text.
 
     Examples:
@@ -215,6 +241,8 @@ def rollout(
     searched = with_arguments(problem, budget=budget, world=world)
     criterion = chosen(threshold_m, stop, searched.stop)
     check(assume, knowledge)
+    check_policy(policy, moves, searched)
+    seed, particles = whole("seed", seed, 0, MAX_SEED), whole("particles", particles, *PARTICLES)
     knowledge |= {"assume": assume, "within": criterion.within}
     policies.policy(policy)
     flown = mission(

@@ -11,6 +11,7 @@ import sys
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -223,6 +224,85 @@ def test_policies_are_compared_in_several_worlds() -> None:
 def test_what_cannot_be_evaluated_is_a_value_error(wrong: dict) -> None:
     with pytest.raises(ValueError, match=r"wanted|Wanted"):
         plumeward.evaluate(**{"scenarios": 1, **wrong})
+
+
+SEEDS, COUNTS = f"a whole number from 0 to {2**63 - 1}", "a whole number from 10 to 1000000"
+NUMBERS: list[tuple[str, Any, str]] = [
+    *(
+        ("particles", value, f"particles {value!r} is not allowed; wanted {COUNTS}")
+        for value in (1, "9", True, 1e3)
+    ),
+    *(
+        ("threshold_m", value, f"threshold_m {value!r} is not allowed; wanted a number above 0 up to 100")
+        for value in (math.nan, -1, 0, 1000, math.inf, "1", None)
+    ),
+    *(
+        ("margin_m", value, f"margin_m {value!r} is not allowed; wanted a number from 0 up to 100000")
+        for value in (-1, math.nan, 1e9, "3")
+    ),
+    ("stop_limits", {"x": -1}, "stop_limits: x -1 is not allowed; wanted a number above 0"),
+    ("stop_limits", {"x": math.inf}, "stop_limits: x inf is not allowed; wanted a number above 0"),
+    ("stop_limits", 5, "stop_limits 5 is not allowed; wanted a dict"),
+    ("priors", 5, "priors 5 is not allowed; wanted a dict"),
+    ("stop", 5, "stop 5 is not allowed; wanted spread:Z, metres, or within:R,P"),
+    ("budget", 0, "budget: 0 is not allowed; wanted "),
+    ("vehicles", 2.5, "--vehicles: 2.5 is not allowed; wanted a whole number from 1 to 8"),
+    ("assume", None, "assume None is not allowed; wanted paper or field"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "said"), NUMBERS)
+def test_what_a_command_refuses_functions_refuse_in_a_line(name: str, value: Any, said: str) -> None:
+    for flown in (partial(plumeward.rollout, 1), partial(plumeward.evaluate, "homing", 1)):
+        with pytest.raises((ValueError, TypeError), match=f"^{re.escape(said)}") as refused:
+            flown(**{name: value})
+        assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "1", 2**63, True, None], ids=str)
+def test_seeds_are_whole_numbers_that_a_key_can_hold(seed: Any) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(f'seed {seed!r} is not allowed; wanted {SEEDS}')}$"):
+        plumeward.rollout(seed)
+    line = f"first_seed {seed!r} is not allowed; wanted a whole number from 0 to {2**63 - 2}"
+    with pytest.raises(ValueError, match=f"^{re.escape(line)}$"):
+        plumeward.evaluate("homing", 2, first_seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("moves", "said"),
+    [
+        *(
+            ({"step": step}, f"moves: step {step!r} is not allowed; wanted a number above 0 up to 10")
+            for step in (0, -1, 100, math.nan, "1")
+        ),
+        *(
+            ({"headings": count}, f"moves: headings {count!r} is not allowed; wanted 4 or 8")
+            for count in (5, 3.5, "4", None)
+        ),
+        *(
+            (
+                {"measurements": count},
+                f"moves: measurements {count!r} is not allowed; wanted a whole number from 1",
+            )
+            for count in (0, 10_001, 2.5)
+        ),
+        ({"speed": 3}, "moves {'speed': 3} are not allowed; wanted a dict of headings, step, measurements"),
+        (3, "moves 3 are not allowed; wanted a dict of headings, step, measurements"),
+    ],
+)
+def test_moves_are_those_that_a_command_allows(moves: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
+        plumeward.rollout(1, moves=moves)
+
+
+@pytest.mark.parametrize("policy", [None, 5, "hommer"], ids=str)
+def test_a_policy_that_is_none_is_named(policy: Any) -> None:
+    line = f"^{re.escape(f'policy: {policy!r} is not allowed')}"
+    with pytest.raises(ValueError, match=line):
+        plumeward.rollout(1, policy)
+    for policies in (policy, [policy], ["homing", policy]):
+        with pytest.raises(ValueError, match=line):
+            plumeward.evaluate(policies, 1)
 
 
 @pytest.mark.parametrize(
