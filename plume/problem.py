@@ -6,8 +6,9 @@ Metres, x east and y north of home. `paper` is the paper's Table 1, and the defa
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import msgspec
 import numpy as np
@@ -364,13 +365,10 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread:0.5"
 
     def __post_init__(self) -> None:
-        if self.keep_out:  # lists, as in Python's own, become what can be compared and kept
-            polygons = tuple(tuple(map(tuple, polygon)) for polygon in self.keep_out)
-            msgspec.structs.force_setattr(self, "keep_out", polygons)
-        if self.keep_in:
-            msgspec.structs.force_setattr(self, "keep_in", tuple(map(tuple, self.keep_in)))
+        for name, value in msgspec.structs.asdict(_typed(self)).items():
+            msgspec.structs.force_setattr(self, name, value)
         if self.prior is not None and not isinstance(self.prior, Area):
-            msgspec.structs.force_setattr(self, "prior", _sound_prior(self.prior))
+            _check_prior(self.prior)
         if self.home and not (abs(self.home[0]) <= 90 and abs(self.home[1]) <= 180):
             raise ValueError(
                 f"home: {_listed(self.home)} is not allowed; wanted latitude, -90 to 90, and longitude, "
@@ -551,6 +549,37 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return msgspec.structs.replace(self, **changes)
 
 
+# The fields alone, of the right kinds; what their numbers may be is said by the checks of `Problem`.
+_Fields = msgspec.defstruct("_Fields", [*get_type_hints(Problem).items()])  # type: ignore[list-item]
+ABOUT = {
+    name: kind.__metadata__[0].description
+    for name, kind in get_type_hints(Problem, include_extras=True).items()
+}
+
+
+def _typed(problem: Problem) -> msgspec.Struct:
+    """Return the fields of a problem, with lists as tuples. Raises ValueError if one is of a wrong kind."""
+    fields = msgspec.structs.asdict(problem)
+    with suppress(msgspec.ValidationError, OverflowError):
+        return msgspec.convert(fields, _Fields)
+    try:
+        return msgspec.convert({name: _plain(value) for name, value in fields.items()}, _Fields)
+    except (msgspec.ValidationError, OverflowError) as error:
+        said, _, where = str(error).partition(" - at `$.")
+        where = where.strip("`")
+        if error.__cause__:  # a check of our own
+            raise ValueError(f"{where}: {said}") from None
+        field = re.split(r"[.\[]", where)[0]
+        raise ValueError(f"{where}: {fields[field]!r:.60} is not allowed; wanted {ABOUT[field]}") from None
+
+
+def _plain(value: Any, depth: int = 4) -> Any:
+    """Return NumPy's numbers and arrays as Python's, in lists too."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    return [_plain(part, depth - 1) for part in value] if depth and isinstance(value, list | tuple) else value
+
+
 def in_area(area: Area, prior: Area | tuple[Place | PriorPart, ...] | None = None) -> Problem:
     """Return the paper's problem in another area, with a step that fits. Raises ValueError."""
     return Problem(area=area, prior=prior, step_m=min(STEP_M, min(area.size_m) / PARTS))
@@ -559,6 +588,10 @@ def in_area(area: Area, prior: Area | tuple[Place | PriorPart, ...] | None = Non
 @lru_cache(64)
 def _check_ways(ground: Fenced, starts: Area | Place, expected: Area, sources: Area | Place) -> None:
     """Raise ValueError if a polygon is none, or polygons leave no start, no source or no way between them."""
+    if len(ground.keep_out) > MOST_POLYGONS:
+        raise ValueError(
+            f"keep_out: {len(ground.keep_out)} polygons are not allowed; wanted up to {MOST_POLYGONS}"
+        )
     polygons = {f"keep_out[{number}]": polygon for number, polygon in enumerate(ground.keep_out)}
     _check_polygons(polygons | ({"keep_in": ground.keep_in} if ground.keep_in else {}))
     obstacles, begins = ground.obstacles, _grid(starts, 6)
@@ -584,14 +617,14 @@ def _check_ways(ground: Fenced, starts: Area | Place, expected: Area, sources: A
         )
 
 
-def _sound_prior(prior: Sequence[Place | PriorPart]) -> tuple[Place | PriorPart, ...]:
-    """Return a prior that is a list as a tuple. Raises ValueError if it is neither a polygon nor parts."""
+def _check_prior(prior: Sequence[Place | PriorPart]) -> None:
+    """Raise ValueError if a prior is neither a polygon nor parts."""
     parts = [part for part in prior if isinstance(part, PriorPart)]
-    if not parts and not any(isinstance(part, Mapping) for part in prior):
-        corners: Corners = tuple(map(tuple, prior))  # type: ignore[arg-type]
+    if not parts:
+        corners: Corners = tuple(prior)  # type: ignore[arg-type]
         _check_polygons({"prior": corners})
         _check_thickness({"prior": corners})
-        return corners
+        return
     if len(parts) < len(prior):
         raise ValueError(
             "prior: wanted either the corners of one polygon or parts, each with corners or a place"
@@ -601,7 +634,6 @@ def _sound_prior(prior: Sequence[Place | PriorPart]) -> tuple[Place | PriorPart,
     _check_thickness(polygons)
     if len({part.weight is None for part in parts}) > 1:
         raise ValueError("prior: wanted a weight for each part, or for none")
-    return tuple(parts)
 
 
 def _check_polygons(polygons: Mapping[str, Corners]) -> None:

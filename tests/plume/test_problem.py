@@ -1,6 +1,7 @@
 """Protects the problem: Table 1 is its default to the last bit, and what it does not allow is said in a line."""
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,84 @@ def test_what_is_not_allowed_is_said_in_a_line(fields: dict[str, Any], said: str
         Problem(**fields)
     with pytest.raises(ValueError, match=said):
         PAPER.changed(**fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        (
+            {"area": ((0, 0), (60, 40))},
+            "area: ((0, 0), (60, 40)) is not allowed; wanted where the search flies",
+        ),
+        ({"area": {"low": (0, 0)}}, "area: {'low': (0, 0)} is not allowed; wanted where the search flies"),
+        ({"area": {"low": (0, 0), "high": (0, 9)}}, "area: high: [0, 9] is not allowed; wanted a corner"),
+        ({"area": None}, "area: None is not allowed; wanted where the search flies"),
+        ({"sensor": 5}, "sensor: 5 is not allowed; wanted the gas sensor"),
+        ({"q": (1, 2, 3)}, "q: (1, 2, 3) is not allowed; wanted release rate, or its least and greatest"),
+        ({"q": True}, "q: True is not allowed; wanted release rate"),
+        ({"q": ("a", 3)}, "q[0]: ('a', 3) is not allowed; wanted release rate"),
+        ({"u": None}, "u: None is not allowed; wanted wind speed"),
+        ({"start": (1, 2, 3)}, "start: (1, 2, 3) is not allowed; wanted where searches begin"),
+        ({"source": (1,)}, "source: (1,) is not allowed; wanted where it is"),
+        ({"source": "here"}, "source: 'here' is not allowed; wanted where it is"),
+        ({"prior": 3}, "prior: 3 is not allowed; wanted where the estimator expects the source"),
+        ({"prior": {"low": (0, 0)}}, "prior: {'low': (0, 0)} is not allowed; wanted where the estimator"),
+        ({"step_m": True}, "step_m: True is not allowed; wanted length of a move"),
+        ({"step_m": "1"}, "step_m: '1' is not allowed; wanted length of a move"),
+        ({"step_m": 10**400}, "step_m: 1000000"),
+        ({"home": (1, 2, 3)}, "home: (1, 2, 3) is not allowed; wanted latitude and longitude of home"),
+        ({"home": ()}, "home: () is not allowed; wanted latitude and longitude of home"),
+        ({"source_inside": "yes"}, "source_inside: 'yes' is not allowed; wanted whether the source"),
+        ({"budget": 3.5}, "budget: 3.5 is not allowed; wanted most moves of a mission"),
+        ({"stop": 5}, "stop: 5 is not allowed; wanted the stop criterion"),
+        ({"world": None}, "world: None is not allowed; wanted how gas moves"),
+        ({"keep_out": 3}, "keep_out: 3 is not allowed; wanted polygons that no way may enter"),
+        ({"keep_out": [(1, 2)]}, "keep_out[0][0]: [(1, 2)] is not allowed; wanted polygons"),
+        (
+            {"keep_in": [(1, 2, 3)] * 3},
+            "keep_in[0]: [(1, 2, 3), (1, 2, 3), (1, 2, 3)] is not allowed; wanted",
+        ),
+        (
+            {"keep_out": [[(k, 1), (k + 1, 1), (k, 2)] for k in range(51)]},
+            "keep_out: 51 polygons are not allowed; wanted up to 50",
+        ),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else None,
+)
+def test_a_field_of_a_wrong_kind_is_refused_as_in_a_file(fields: dict[str, Any], said: str) -> None:
+    for refuse in (lambda: Problem(**fields), lambda: PAPER.changed(**fields), lambda: named(fields)):
+        with pytest.raises(ValueError, match=f"^{re.escape(said)}") as refusal:
+            refuse()
+        assert "\n" not in str(refusal.value)
+
+
+def test_lists_dicts_and_numpys_numbers_are_taken() -> None:
+    field = {"low": [0, 0], "high": [60, 40]}
+    given = Problem(
+        area=field,  # type: ignore[arg-type]
+        prior=field,  # type: ignore[arg-type]
+        q=[100, 200],  # type: ignore[arg-type]
+        u=(np.float64(1.5), np.float64(2.5)),
+        step_m=np.float64(2.0),
+        budget=np.int64(9),  # type: ignore[arg-type]
+        start=np.array([1.0, 2.0]),  # type: ignore[arg-type]
+        keep_out=[np.array([[20, 20], [24, 20], [24, 24]])],  # type: ignore[arg-type]
+    )
+    area = Area((0, 0), (60, 40))
+    triangle = ((20.0, 20.0), (24.0, 20.0), (24.0, 24.0))
+    same = Problem(
+        area=area,
+        prior=area,
+        q=(100, 200),
+        u=(1.5, 2.5),
+        step_m=2,
+        budget=9,
+        start=(1, 2),
+        keep_out=(triangle,),
+    )
+    assert given == same
+    assert hash(given) == hash(same)
+    assert given.text == same.text
 
 
 @pytest.mark.parametrize("high", [(0.0, 5.0), (-1.0, 5.0), (math.nan, 5.0), (1e6, 5.0)])

@@ -245,7 +245,9 @@ NUMBERS: list[tuple[str, Any, str]] = [
     ("stop_limits", 5, "stop_limits 5 is not allowed; wanted a dict"),
     ("priors", 5, "priors 5 is not allowed; wanted a dict"),
     ("stop", 5, "stop 5 is not allowed; wanted spread:Z, metres, or within:R,P"),
+    ("budget", "3", "budget: '3' is not allowed; wanted "),
     ("budget", 0, "budget: 0 is not allowed; wanted "),
+    ("world", 5, "world: 5 is not allowed; wanted "),
     ("vehicles", 2.5, "--vehicles: 2.5 is not allowed; wanted a whole number from 1 to 8"),
     ("assume", None, "assume None is not allowed; wanted paper or field"),
 ]
