@@ -10,6 +10,7 @@ from link.bus import inbox, opening
 from link.bus.keys import BELIEF, KEYS, READING
 from link.record import reader
 from link.signing import timestamps
+from plume.problems import names
 from sitl.script import typed_yaml
 
 PAGE = Path(__file__).parents[1] / "docs" / "security.md"
@@ -39,6 +40,7 @@ def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
         "chunk of a record": f"{reader.LARGEST_PIECE // MIB} MiB",
         "mission script": f"{typed_yaml.MOST_BYTES:,} bytes; {typed_yaml.MOST_VALUES:,} values, aliases "
         "expanded",
+        "problem file": f"{names.MOST_BYTES:,} bytes; {names.MOST_VALUES:,} values, aliases expanded",
         "waiting messages of a key": f"{inbox.WAITING_MESSAGES:,} and the kept ones; "
         f"{inbox.WAITING_BYTES // MIB} MiB",
         "names of services": f"ours and {inbox.MOST_OTHERS} others",

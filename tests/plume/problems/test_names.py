@@ -1,5 +1,6 @@
 """Protects how problems are named: a name, a file, JSON; and that a bad one is refused in a line."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -22,8 +23,16 @@ def test_a_problem_comes_from_a_file_or_a_script(tmp_path: Path) -> None:
     assert named(str(path)) == Problem(area=Area((-20, 0), (80, 50)), step_m=2)
     path.write_text("seed: 3\nproblem: {step_m: 2}\n")
     assert named(str(path)) == Problem(step_m=2)
-    path.write_text("")
-    assert named(str(path)) == PAPER
+    path.write_text("area: &all {low: [0, 0], high: [30, 30]}\nprior: *all\n")
+    assert named(str(path)) == Problem(prior=Area((0, 0), (30, 30)))
+
+
+def laughing(form: str) -> str:
+    """Ten lines, each of ten times the one before: ten billion values."""
+    lines = ["a: &a {x: 1}"]
+    for before, name in pairwise("abcdefghij"):
+        lines.append(f"{name}: &{name} {form.format(', '.join([f'*{before}'] * 10))}")
+    return "\n".join([*lines, "z: &z [*j]", ""])
 
 
 @pytest.mark.parametrize(
@@ -44,6 +53,13 @@ def test_a_problem_comes_from_a_file_or_a_script(tmp_path: Path) -> None:
         ("- 3", "is not allowed; wanted fields"),
         ("a: [", "not valid YAML"),
         ("area: &a [*a]", "not valid YAML|is not allowed"),
+        *(
+            (text, "there is nothing in it; wanted fields: area, ")
+            for text in ("", "# later", "null", "problem:")
+        ),
+        (laughing("[{}]"), "more than 20,000 values, with aliases expanded, are not allowed"),
+        (laughing("[{}]") + "keep_out: *z\n", "more than 20,000 values"),
+        (laughing("{{<<: [{}]}}"), "more than 20,000 values"),
     ],
 )
 def test_a_file_that_is_none_is_refused_in_a_line(text: str, said: str, tmp_path: Path) -> None:
