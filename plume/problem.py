@@ -550,7 +550,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 # The fields alone, of the right kinds; what their numbers may be is said by the checks of `Problem`.
-_Fields = msgspec.defstruct("_Fields", [*get_type_hints(Problem).items()])  # type: ignore[list-item]
+_Fields = msgspec.defstruct("_Fields", [*get_type_hints(Problem).items()])
 ABOUT = {
     name: kind.__metadata__[0].description
     for name, kind in get_type_hints(Problem, include_extras=True).items()
@@ -639,9 +639,9 @@ def _check_prior(prior: Sequence[Place | PriorPart]) -> None:
 def _check_polygons(polygons: Mapping[str, Corners]) -> None:
     """Raise ValueError, which names the field, if a polygon is none or there are too many corners."""
     if sum(map(len, polygons.values())) > MOST_CORNERS:
-        corners, name = sum(map(len, polygons.values())), next(iter(polygons)).partition("[")[0]
+        count, name = sum(map(len, polygons.values())), next(iter(polygons)).partition("[")[0]
         raise ValueError(
-            f"{name}: {corners} corners are not allowed; wanted up to {MOST_CORNERS} in all"
+            f"{name}: {count} corners are not allowed; wanted up to {MOST_CORNERS} in all"
             + ", those of keep_in included" * (name == "keep_out")
         )
     for name, polygon in polygons.items():
@@ -651,9 +651,10 @@ def _check_polygons(polygons: Mapping[str, Corners]) -> None:
                     f"{name}: the corner {_listed(corner)} is not allowed; wanted (x, y), each from "
                     f"{-FARTHEST_M:g} to {FARTHEST_M:g} m"
                 )
-        if len(polygon) < 3:
-            raise ValueError(f"{name}: {len(polygon)} corners are not allowed; wanted at least 3")
-        if crossing := crosses_itself(outline(polygon)):
+        corners = outline(polygon)
+        if len(corners) < 3:
+            raise ValueError(f"{name}: {len(corners)} corners are not allowed; wanted at least 3")
+        if crossing := crosses_itself(corners):
             sides = " and ".join(str(number + 1) for number in crossing)
             raise ValueError(f"{name}: its sides {sides} meet; wanted the corners in order around it")
 

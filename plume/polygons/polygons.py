@@ -43,9 +43,9 @@ def _side(start: Array, end: Array, place: Array) -> Array:
 
 
 def outline(polygon: Sequence[Place]) -> Array:
-    """Return the corners (K, 2) of a polygon, each once: the first one may be repeated at the end."""
-    closed = len(polygon) > 1 and tuple(polygon[0]) == tuple(polygon[-1])
-    return np.array(polygon[:-1] if closed else polygon, np.float64).reshape(-1, 2)
+    """Return the corners (K, 2) of a polygon, without those that are where the next one is, around it."""
+    corners = np.array(polygon, np.float64).reshape(-1, 2)
+    return np.asarray(corners[(corners != np.roll(corners, -1, axis=0)).any(axis=1)])
 
 
 def sides_of(polygon: Sequence[Place], clockwise: bool = False) -> Array:

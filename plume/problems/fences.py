@@ -14,14 +14,16 @@ import numpy as np
 
 from plume.geodesy import to_local
 from plume.polygons.obstacles import Obstacles
+from plume.polygons.polygons import outline
 from plume.problem import CLEARANCE_M, FARTHEST_M, Area, Corners, Place, Problem, in_area
 
 MOST_BYTES = 1_000_000
-MOST_SHAPES = 1_000  # polygons and points of a file
+MOST_SHAPES = 1_000  # of a file
 DIGITS = 3  # metres are rounded to millimetres: the last bits of sines depend on the processor
 # Beginnings of the names of polygons to keep out of, without blanks and hyphens.
 OUT = ("keepout", "exclusion", "nofly")
 NAMES = "a name that begins with keep-out, exclusion or no-fly"
+NOT_READ = ("Point", "MultiPoint", "LineString", "MultiLineString")  # geometries of GeoJSON; but home is
 CELLS = 24  # along a side of the area, of places that are tried as a start
 
 LatLon = tuple[float, float]
@@ -37,7 +39,7 @@ class GroundFence(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """A polygon or a point of a file, with its name; the first ring of a polygon is the outer one."""
+    """A polygon of a file, or its home, with its name; the first ring of a polygon is the outer one."""
 
     name: str
     rings: Sequence[Ring]
@@ -89,11 +91,10 @@ def _metres(what: str, ring: Ring, home: LatLon) -> Corners:
                 f"{FARTHEST_M / 1000:g} km"
             )
         corners.append((round(east, DIGITS), round(north, DIGITS)))
-    if len(corners) > 1 and corners[0] == corners[-1]:
-        corners.pop()
-    if len(corners) < 3:
-        raise ValueError(f"{what}: {len(corners)} corners are not allowed; wanted at least 3")
-    return tuple(corners)
+    each: list[Place] = [(x, y) for x, y in outline(corners).tolist()]
+    if len(each) < 3:
+        raise ValueError(f"{what}: {len(each)} corners are not allowed; wanted at least 3")
+    return tuple(each)
 
 
 def _lat_lon(where: str, lat: Any, lon: Any) -> LatLon:
@@ -109,7 +110,7 @@ def _lat_lon(where: str, lat: Any, lon: Any) -> LatLon:
 
 def _fence(shapes: Sequence[Shape]) -> GroundFence:
     """Return the fence of named polygons and a point `home`. Raises ValueError."""
-    homes = [shape.point for shape in shapes if shape.point and shape.name.strip().lower() == "home"]
+    homes = [shape.point for shape in shapes if shape.point]
     if len(homes) != 1:
         raise ValueError(f"{len(homes)} points named home; wanted one, where the vehicle takes off")
     polygons = [shape for shape in shapes if shape.rings]
@@ -121,8 +122,13 @@ def _fence(shapes: Sequence[Shape]) -> GroundFence:
             f"{len(ins)} polygons to keep in{f' ({names})' * bool(ins)}; wanted one, and {NAMES} for "
             "polygons to keep out of"
         )
+    for shape in outs:
+        if len(shape.rings) > 1:
+            raise ValueError(
+                f"the polygon {shape.name[:40]!r} to keep out of has a hole; wanted one without: no way leads "
+                "into it"
+            )
     (home,), (within,) = homes, ins
-    assert home
     return GroundFence(home, within.rings[0], [*within.rings[1:], *(shape.rings[0] for shape in outs)])
 
 
@@ -142,7 +148,7 @@ def of_kml(text: str) -> GroundFence:
             continue
         name = next((each.text or "" for each in mark if _local(each) == "name"), "").strip()
         for each in mark.iter():
-            if _local(each) == "Point":
+            if _local(each) == "Point" and _is_home(name):
                 shapes.append(Shape(name, (), _ring(name, each)[0]))
             elif _local(each) == "Polygon":
                 edges = {"outerBoundaryIs": [], "innerBoundaryIs": []}  # type: dict[str, list[Ring]]
@@ -153,8 +159,12 @@ def of_kml(text: str) -> GroundFence:
                     raise ValueError(f"polygon {name[:40]!r}: wanted one outerBoundaryIs")
                 shapes.append(Shape(name, edges["outerBoundaryIs"] + edges["innerBoundaryIs"]))
         if len(shapes) > MOST_SHAPES:
-            raise ValueError(f"more than {MOST_SHAPES:,} polygons and points are not allowed")
+            raise ValueError(f"more than {MOST_SHAPES:,} polygons are not allowed")
     return _fence(shapes)
+
+
+def _is_home(name: str) -> bool:
+    return name.strip().lower() == "home"
 
 
 def _local(element: ElementTree.Element) -> str:
@@ -193,13 +203,17 @@ def of_geojson(text: str) -> GroundFence:
 def _shapes(number: int, feature: Any) -> Iterator[Shape]:
     where = f"features[{number}]"
     geometry = feature.get("geometry") if isinstance(feature, dict) else None
+    if isinstance(feature, dict) and geometry is None and "geometry" in feature:
+        return
     if not isinstance(geometry, dict):
         raise ValueError(f"{where}: wanted a feature with a geometry")
     properties, inside = feature.get("properties"), geometry.get("coordinates")
     name = str(properties.get("name", "")) if isinstance(properties, dict) else ""
     match geometry.get("type"):
-        case "Point":
+        case "Point" if _is_home(name):
             yield Shape(name, (), _position(where, inside))
+        case kind if kind in NOT_READ:
+            return
         case "Polygon":
             yield Shape(name, _rings(where, inside))
         case "MultiPolygon" if isinstance(inside, list):

@@ -209,6 +209,15 @@ def test_polygons_are_told_in_text_and_to_services_without_the_source() -> None:
     assert Problem().text == "paper"
 
 
+def test_a_corner_given_twice_in_a_row_is_one() -> None:
+    (hall, _), doubled = HOUSES, [corner for corner in HOUSES[0] for _ in range(2)]
+    twice, once = Problem(keep_out=[doubled]), Problem(keep_out=(hall,))  # type: ignore[arg-type]
+    assert (twice.ground.obstacles.walls == once.ground.obstacles.walls).all()  # type: ignore[union-attr]
+    assert Problem(prior=doubled).expected.text == Problem(prior=hall).expected.text  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"keep_out\[0\]: 2 corners are not allowed; wanted at least 3"):
+        Problem(keep_out=[[(5, 5), (5, 5), (9, 9), (9, 9)]])  # type: ignore[list-item]
+
+
 @pytest.mark.parametrize(
     ("fields", "said"),
     [

@@ -107,6 +107,46 @@ def test_a_hole_in_the_polygon_to_keep_in_is_kept_out_of(tmp_path: Path) -> None
     assert [len(polygon) for polygon in problem.keep_out] == [3, 4]
 
 
+def geometry(kind: str, places: Any) -> dict:
+    return {"type": "Feature", "properties": None, "geometry": {"type": kind, "coordinates": places}}
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        geometry("LineString", lon_lat(FIELD)),
+        geometry("MultiLineString", [lon_lat(FIELD)]),
+        geometry("MultiPoint", lon_lat(FIELD)),
+        geometry("Point", []),
+        geometry("Point", [500, 0]),
+        {"type": "Feature", "properties": {"name": "notes"}, "geometry": None},
+    ],
+    ids=lambda other: str(other["geometry"] and other["geometry"]["type"]),
+)
+def test_lines_other_points_and_features_of_no_place_are_read_past(other: dict, tmp_path: Path) -> None:
+    features = json.loads(geojson())["features"]
+    usual = of(tmp_path, "yard.geojson", geojson())
+    assert of(tmp_path, "yard.geojson", geojson(features=[other, *features, other])) == usual
+
+
+@pytest.mark.parametrize("name", ["", "<name>a valve</name>"])
+@pytest.mark.parametrize("inside", ["", "<coordinates/>", "<coordinates>here</coordinates>"])
+def test_other_points_of_a_kml_are_read_past(name: str, inside: str, tmp_path: Path) -> None:
+    more = f"<Placemark>{name}<Point>{inside}</Point></Placemark>"
+    assert of(tmp_path, "yard.kml", kml(more=more)) == of(tmp_path, "yard.kml", kml())
+
+
+def test_a_corner_given_twice_in_a_row_is_one(tmp_path: Path) -> None:
+    twice = [
+        [lon, lat] for lon, lat in lon_lat([FIELD[0], FIELD[0], FIELD[1], FIELD[1], *FIELD[2:], FIELD[0]])
+    ]
+    twice[1][0] += 1e-9  # a tenth of a millimetre: the same in a file that rounds
+    features = json.loads(geojson())["features"]
+    features[0]["geometry"]["coordinates"] = [twice]
+    usual = of(tmp_path, "yard.geojson", geojson())
+    assert of(tmp_path, "yard.geojson", geojson(features=features)) == usual
+
+
 def test_home_may_be_in_the_middle_and_is_then_the_start(tmp_path: Path) -> None:
     features = json.loads(geojson())["features"]
     features[2]["geometry"]["coordinates"] = [10.0005, 60.0005]
@@ -156,13 +196,39 @@ REFUSED = [
     ("a.geojson", geojson(features=[3]), r"features\[0\]: wanted a feature with a geometry"),
     (
         "a.geojson",
-        geojson(features=[{"geometry": {"type": "LineString"}}]),
-        r"features\[0\]: 'LineString' is not allowed; wanted Point, Polygon",
+        geojson(features=[{"geometry": {"type": "GeometryCollection"}}]),
+        r"features\[0\]: 'GeometryCollection' is not allowed; wanted Point, Polygon",
     ),
     (
         "a.geojson",
         geojson(features=[{"geometry": {"type": "Polygon", "coordinates": [[["a", 3]]]}}]),
         r"features\[0\]: latitude 3 and longitude 'a' are not allowed; wanted degrees",
+    ),
+    (
+        "a.geojson",
+        json.dumps(
+            {
+                "type": "FeatureCollection",
+                "features": [
+                    *json.loads(geojson())["features"][::2],
+                    geometry("Polygon", [lon_lat(HALL), lon_lat([(1.2, 1.1), (1.5, 1.1), (1.5, 1.3)])])
+                    | {"properties": {"name": "no-fly: hall"}},
+                ],
+            }
+        ),
+        "the polygon 'no-fly: hall' to keep out of has a hole; wanted one without",
+    ),
+    (
+        "a.kml",
+        kml(field="Exclusion")
+        .replace("Keep-out: hall", "field")
+        .replace(
+            "</outerBoundaryIs>",
+            "</outerBoundaryIs><innerBoundaryIs><LinearRing><coordinates>10.001,60.0005 10.002,60.0005 "
+            "10.002,60.001</coordinates></LinearRing></innerBoundaryIs>",
+            1,
+        ),
+        "the polygon 'Exclusion' to keep out of has a hole; wanted one without",
     ),
     ("a.plan", "{}", "fileType is None; wanted 'Plan'"),
     ("a.plan", plan(circles=[{"circle": {}}]), "geoFence.circles: circles are not allowed; wanted polygons"),
