@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
     cli.add_bus_arguments(parser)
     parser.set_defaults(connect=None, namespace=None)
-    add_vehicle_arguments(parser, speedup=1.0)
+    add_vehicle_arguments(parser, speedup=1.0, usual_instance="%(default)s; with --number K it is K - 1")
     add_vehicle_url(parser)
     add_fleet_arguments(parser)
     parser.add_argument(
@@ -103,5 +103,12 @@ def _place_in_fleet(args: argparse.Namespace, script: Script) -> tuple[Fleet, in
     number = args.number or args.instance + 1
     if number > fleet.vehicles:
         raise cli.BadInput(f"--number: {number} is not allowed; wanted 1 to {fleet.vehicles} (--vehicles)")
+    if "instance" not in args.given:
+        args.instance = number - 1
+    if args.instance < number - 1 and not args.sysid:
+        raise cli.BadInput(
+            f"-I: {args.instance} is not allowed with --number {number}: its system id would be another's; "
+            f"wanted {number - 1} or more, or --sysid"
+        )
     args.namespace = args.namespace or f"search/{max(args.instance + 2 - number, 1)}"
     return fleet, number

@@ -22,8 +22,10 @@ LATE_IN_A_MOVING_WORLD = (
 HOMES_APART_M = 40.0  # default homes lie so far apart that search areas do not overlap
 
 
-def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> None:
-    """Add them; `speedup` is the default."""
+def add_vehicle_arguments(
+    parser: argparse.ArgumentParser, speedup: float, usual_instance: str = "%(default)s"
+) -> None:
+    """Add them; `speedup` is the default.  usual_instance: the default of -I in words."""
     add_mission_arguments(parser)
     parser.add_argument(
         "--speedup",
@@ -39,7 +41,7 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
         default=0,
         metavar="N",
         help="number of the vehicle: its namespace is uav/N+1, and by it differ system id, home and ports "
-        "(default: %(default)s)",
+        f"(default: {usual_instance})",
     )
     parser.add_argument(
         "--sysid",

@@ -8,6 +8,8 @@ import math
 import pytest
 from pymavlink import mavutil
 
+from tests.system.live import run_sitl
+
 FIRST = 200
 """Number of the first vehicle: the ports of low numbers may be in use."""
 
@@ -49,3 +51,32 @@ def test_a_vehicle_that_no_client_can_reach_says_first_how_one_could(start, wait
         f"--out udpout:127.0.0.1:{14540 + FIRST} is for MAVSDK: udpin://0.0.0.0:{14540 + FIRST}" in uav.err[0]
     )
     assert "QGroundControl: port 14550" in uav.err[0]
+
+
+def test_of_vehicles_that_search_together_each_has_the_system_id_of_its_number(start) -> None:
+    clients = {number: mavutil.mavlink_connection("udpin:127.0.0.1:0") for number in (1, 2)}
+    for number, client in clients.items():
+        out = f"udpout:127.0.0.1:{client.port.getsockname()[1]}"
+        start("sitl", "uav", "--vehicles", "2", "--number", str(number), "--out", out)
+    for number, client in clients.items():
+        assert client.wait_heartbeat(timeout=400).get_srcSystem() == number
+        client.close()
+
+
+def test_a_number_and_an_instance_that_give_another_vehicles_system_id_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, _, err = run_sitl(monkeypatch, capsys, "uav", "--vehicles", "3", "--number", "3", "-I", "1")
+    assert status == 2
+    assert err == [
+        "error: -I: 1 is not allowed with --number 3: its system id would be another's; wanted 2 or more, "
+        "or --sysid"
+    ]
+
+
+def test_a_chosen_system_id_goes_with_any_number_and_instance(start) -> None:
+    client = mavutil.mavlink_connection("udpin:127.0.0.1:0")
+    out = f"udpout:127.0.0.1:{client.port.getsockname()[1]}"
+    start("sitl", "uav", "--vehicles", "3", "--number", "3", "-I", "1", "--sysid", "9", "--out", out)
+    assert client.wait_heartbeat(timeout=400).get_srcSystem() == 9
+    client.close()
