@@ -1,6 +1,7 @@
 """A search by several vehicles as one of them knows it: its own berth, who takes part, how it joins late."""
 
 import math
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,6 +15,23 @@ Place = tuple[float, float]  # (x, y) m
 
 
 AT_START_M = 1.0  # how far from its start a vehicle that joins late may stand
+# What our estimator says of itself; with the number of vehicles, if they are several.
+ESTIMATOR_ABOUT = re.compile(
+    r"^\d+ particles, assume [^,]*, stop [^ ]*?(?:, (\d+) vehicles)?(?:, without .*)?$"
+)
+
+
+def misfit(about: str, vehicles: int) -> str:
+    """Return why so many vehicles cannot search with an estimator, by what its health says of it.
+
+    Empty if they can, or if it does not say for how many it is.
+    """
+    ours = ESTIMATOR_ABOUT.search(about)
+    if not ours or (searching := int(ours[1] or 1)) == vehicles:
+        return ""
+    flags = f"with --vehicles {vehicles}" if vehicles > 1 else "without --vehicles"
+    plural = "s" * (searching > 1)
+    return f"is for {searching} vehicle{plural}, and {vehicles} would fly: start it {flags}"
 
 
 class Berth(NamedTuple):

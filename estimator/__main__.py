@@ -103,6 +103,7 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         args.connect,
         args.namespace,
         log_level=args.log_level,
+        announced=False,  # until its health says for how many vehicles it is
         secure=args.secure,
         sole=True,
         vehicles=cli.numbers(args.vehicles),

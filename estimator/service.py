@@ -205,6 +205,7 @@ def _begin(bus: Bus, config: Config, roll: Roll) -> None:
     bus.subscribe(READING)
     bus.tally.about = _about(config, roll)
     bus.publish_health()
+    bus.announce()
     steady = config.assume == "field" and "cv" not in config.effective_priors
     bus.log.info(
         f"ready: {bus.tally.about}; unknown {' '.join(config.unknowns)}; "

@@ -30,13 +30,13 @@ from aircraft.search.events import (
 from aircraft.search.sampling import Sampling
 from aircraft.search.search import PAUSED, SEARCHING, STANDBY, Search
 from aircraft.state import Arrived, Reached, TakenOver, VehicleFailed
-from aircraft.together import Joining
+from aircraft.together import Joining, misfit
 from link.bus.backoff import Backoff
 from link.bus.inbox import Inbox
-from link.bus.keys import BELIEF, DEPARTURE, JOIN, LATECOMER, MAVLINK_IN, STOP, WAYPOINT
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH, JOIN, LATECOMER, MAVLINK_IN, STOP, WAYPOINT
 from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, unpack_plan, unpack_waypoint
-from link.bus.messages import Belief, Departure, Latecomer
+from link.bus.messages import Belief, Departure, Health, Latecomer
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.bus.tally import FAULT
 from link.interrupts import uninterrupted
@@ -121,6 +121,7 @@ class Uav:
         self._timeline = Timeline(events, self._perform)
         self._sampling = Sampling(search, clients, sensor, self._timeline, self._bus, self._log)
         self._services: set[str] = set()
+        self._misfit = ""  # why it does not take off with the estimator that is there
         self._left: set[int] = set()  # the vehicles that have left a search of several
         self._joining: Joining | None = None  # while it comes late and has no part in the search yet
         self._asking = Backoff(ASK_S, ASK_S)
@@ -153,8 +154,9 @@ class Uav:
                     self._live_until(self._clock.now_s())
                     self._meet()
                     self._go_on_with_the_search()
-                    if self._vehicle.failure and not self._vehicle.armed:  # it stands on the ground again
-                        raise VehicleFailed(self._vehicle.failure)
+                    failure = self._vehicle.failure or self._misfit
+                    if failure and not self._vehicle.armed:  # it stands on the ground, or does so again
+                        raise VehicleFailed(failure)
                     self._sampling.go_on()
                     self._clients.serve()
                     self._tally.compute_s += time.perf_counter() - busy_since
@@ -218,11 +220,22 @@ class Uav:
         match item:
             case LivelinessChange(service, alive):
                 (self._services.add if alive else self._services.discard)(service)
+                if self._bus and alive and service == "estimator" and self._search.state == STANDBY:
+                    self._misfit = self._misfit_of(self._bus)
             case Arrival() if self._bus:
                 try:
                     self._hear(self._bus, item)
                 except BadFrame as error:
                     self._bus.refuse(item.key, str(error), error.kind)
+
+    def _misfit_of(self, bus: Bus) -> str:
+        """Return why it cannot search with the estimator that has come; empty if it can.
+
+        Our estimator keeps its health before its token shows that it is there.
+        """
+        kept = [bus.decode(arrival, Health) for arrival in bus.kept(HEALTH, "estimator")]
+        wrong = [misfit(said.about, self._sensor.together.among) for said in kept if said]
+        return f"the estimator {wrong[-1]}" if any(wrong[-1:]) else ""
 
     def _hear(self, bus: Bus, arrival: Arrival) -> None:
         """Take a message from the bus. Raises BadFrame."""
@@ -306,7 +319,8 @@ class Uav:
 
     def _go_on_with_the_search(self) -> None:
         absent = self._sensor.services - self._services
-        self._search.go_on(not absent and (not self._joining or self._search.found))
+        ready = not (absent or self._misfit)
+        self._search.go_on(ready and (not self._joining or self._search.found))
         if self._search.state == STANDBY:
             self._sensor.prepare(self._search.waits_for, absent)
         waits_for = self._search.waits_for or self._sensor.waits_for

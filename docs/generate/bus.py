@@ -100,7 +100,8 @@ these:
 4. A reading that comes **late** holds up its round: the others wait where they are. It is never taken in a later round; one from
    before its vehicle's newest is refused as `late`. A vehicle publishes its reading again until it has a waypoint, as one alone does. The
    estimator repeats a belief for a vehicle whose newest reading has been answered; while a reading waits for its round, it has no answer.
-5. The search begins when estimator, agent and all vehicles are there, by their tokens: no vehicle takes off before.
+5. The search begins when estimator, agent and all vehicles are there, by their tokens: no vehicle takes off before. Our estimator says its health
+   before its token: its `about` has the number of vehicles. A vehicle that counts another number does not take off, and ends.
 6. The stop is one, and ends the search of all. Its `measured` says who has measured what.
 7. A vehicle **leaves** when others wait for its reading, and it returns or has landed, or they have waited for `--overdue` seconds (20) of real
    time, whatever the cause: no token, no value, a pilot. The estimator, which decides it, publishes a `departure`. Its `step` is the number of

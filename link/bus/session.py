@@ -330,11 +330,13 @@ class Bus:
             lambda reply: received(reply.ok) if reply.ok else None,
         )
 
-    def kept(self, key: Key) -> list[Arrival]:
-        """Return what all publishers of a key keep now, each in its order."""
-        replies = ask_for_kept(
-            self._session, key.named(), key.delivery.kept, zenoh.handlers.FifoChannel(most_waiting(key))
-        )
+    def kept(self, key: Key, service: str = "*") -> list[Arrival]:
+        """Return what all publishers of a key keep now, each in its order.
+
+        service: whose, of a key that each service has.
+        """
+        waiting = zenoh.handlers.FifoChannel(most_waiting(key))
+        replies = ask_for_kept(self._session, key.named(service), key.delivery.kept, waiting)
         samples = (reply.ok for reply in replies if reply.ok is not None)
         return [arrival for sample in samples if (arrival := self._arrival(key, sample))]
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import re
 import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Collection, Mapping
@@ -11,6 +10,7 @@ from types import MappingProxyType
 import msgspec
 
 from aircraft.operator import AUTOPILOT
+from aircraft.together import misfit
 from link.bus.keys import (
     BELIEF,
     DEPARTURE,
@@ -32,10 +32,6 @@ from sitl.launch.processes import MissionFailed
 
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
 TOLD_AFTER_S = 1.0  # how long services elsewhere may be missing until people are told
-# What our estimator says of itself; with the number of vehicles, if they are several.
-ESTIMATOR_ABOUT = re.compile(
-    r"^\d+ particles, assume [^,]*, stop [^ ]*?(?:, (\d+) vehicles)?(?:, without .*)?$"
-)
 MOST_READINGS = 100_000  # readings that wait for their beliefs; a stranger could publish without end
 
 
@@ -72,13 +68,8 @@ def await_services(bus: Bus, namespace: str, vehicles: int, say: Callable[[str],
             raise MissionFailed(
                 f"the {service} has already flown a mission, to step {health[service].step}: restart it"
             )
-    ours = ESTIMATOR_ABOUT.search(health["estimator"].about)
-    if ours and (searching := int(ours[1] or 1)) != vehicles:
-        flags = f"with --vehicles {vehicles}" if vehicles > 1 else "without --vehicles"
-        raise MissionFailed(
-            f"the estimator on {namespace} is for {searching} vehicle{'s' * (searching > 1)}, and {vehicles} "
-            f"would fly: start it {flags}"
-        )
+    if wrong := misfit(health["estimator"].about, vehicles):
+        raise MissionFailed(f"the estimator on {namespace} {wrong}")
     return health["agent"].about
 
 

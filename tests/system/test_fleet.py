@@ -339,6 +339,20 @@ def test_an_operators_order_leaves_a_vehicle_out(
     assert (status, "has not obeyed within 5 s" in "".join(err)) == (1, True)  # it is the only one left
 
 
+def test_a_vehicle_that_is_not_of_the_search_stays_on_the_ground_and_says_why(
+    start: type[Part], router: str
+) -> None:
+    parts, stranger = commands(router), commands(router, vehicles=3)["uav/3"]
+    start(*parts["estimator"])
+    uav = start(*stranger)  # whichever of the two is there first
+    assert uav.ended() == 1
+    line = "error: the estimator is for 2 vehicles, and 3 would fly: start it with --vehicles 3\n"
+    assert uav.err[-1] == line
+    again = start(*stranger)
+    assert again.ended() == 1
+    assert again.err[-1] == line
+
+
 # ---- services that die ----
 
 SEED = 4

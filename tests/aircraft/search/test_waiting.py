@@ -2,14 +2,17 @@
 
 from typing import Any
 
+import msgspec
 import pytest
 
 from aircraft.remote.command import real_uav
 from aircraft.search.command import Orders
 from aircraft.search.uav import Equipment, Speaker
 from aircraft.state import VehicleFailed
-from link.bus.keys import PAYLOAD_IN, Key
-from link.bus.session import LivelinessChange
+from aircraft.together import misfit
+from link.bus.keys import HEALTH, PAYLOAD_IN, Key
+from link.bus.messages import Health
+from link.bus.session import Arrival, LivelinessChange
 from plume.scenario import draw
 from plume.sensors.sensor import Gaussian
 from plume.worlds.world import World
@@ -28,6 +31,18 @@ class Speechless(Others):
     def publish(self, key: Key, message: Any, attachment: bytes | None = None) -> None:
         if key is not PAYLOAD_IN:
             super().publish(key, message, attachment)
+
+
+class Searched(Others):
+    """A bus whose estimator says what it runs with."""
+
+    def __init__(self, about: str) -> None:
+        super().__init__()
+        self.about = about
+
+    def kept(self, key: Key, service: str = "*") -> list[Arrival]:
+        said = Health("estimator", "ready", -1, 0.0, 9.0, {}, about=self.about)
+        return [Arrival(HEALTH, msgspec.json.encode(said), b"", name=f"health/{service}")]
 
 
 def waited(cockpit: Cockpit, bus: Others) -> tuple[str, list[str]]:
@@ -78,3 +93,17 @@ def test_a_service_that_is_not_there_is_named(missing: str) -> None:
     bus.due.remove(LivelinessChange(missing, True))
     last, _ = waited(Cockpit("ardupilot", wait_s=30.0), bus)
     assert f"(--wait): no {missing}: " in last
+
+
+@both
+def test_a_vehicle_stays_on_the_ground_if_the_estimator_is_for_another_number_of_vehicles(kind: str) -> None:
+    last, _ = waited(Cockpit(kind), Searched("300 particles, assume field, stop spread:0.5, 2 vehicles"))
+    assert last == "the estimator is for 2 vehicles, and 1 would fly: start it without --vehicles"
+
+
+def test_an_estimator_that_does_not_say_for_how_many_vehicles_it_is_may_be_for_any() -> None:
+    assert not misfit("somebody's own filter", 3)
+    assert not misfit("300 particles, assume field, stop spread:0.5, 3 vehicles, without uav/2", 3)
+    assert misfit("300 particles, assume field, stop spread:0.5", 3).startswith(
+        "is for 1 vehicle, and 3 would"
+    )
