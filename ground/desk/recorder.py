@@ -94,6 +94,8 @@ def run(args: argparse.Namespace) -> int:
         secure=args.secure,
         vehicles=cli.numbers(args.vehicles),
     ) as bus:
+        ends: list[int] = []
+        on_end(ends.append)  # no KeyboardInterrupt, which could strike within a message or leave half a file
         try:
             about = {**fleet, **args.about, **surroundings(args.namespace)}
             writer = begin(args.file, args.force, about)
@@ -104,8 +106,6 @@ def run(args: argparse.Namespace) -> int:
             raise cli.BadInput(reason or cannot) from None
         bus.subscribe(*KEYS)
         bus.settle(CONNECT_TIMEOUT_S)
-        ends: list[int] = []
-        on_end(ends.append)  # no KeyboardInterrupt, which could strike within a message
         bus.tally.state = "recording"
         bus.publish_health()
         print(f"recording to {args.file}", flush=True)

@@ -104,7 +104,10 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
         uavs = ", ".join(mission.uavs)
         starting = [uavs if mission.connect else f"router, {uavs}, estimator, agent", *payload]
         progress = stack.enter_context(Progress(mission.script.budget, ", ".join(starting)))
-        processes = stack.enter_context(Processes(inbox))
+        processes = Processes(inbox)
+        if files:  # once all have ended: an interrupt may come between the recorder's answer and its reader
+            stack.callback(lambda: files.made_if(processes.has_answered(RECORDER)))
+        stack.enter_context(processes)
         stack.callback(page.over, processes)
         relays: dict[str, Relay] = {}
 
@@ -130,8 +133,6 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
             policy = await_services(bus, mission.namespace, len(mission.uavs), progress.say, wait_s)
             mission = replace(mission, script=mission.script.changed({"agent.policy": policy}))
         endpoint = start_parts(processes, mission, relays, page, progress.say)
-        if files:
-            files.made = True
         if not mission.connect:
             bus = join(endpoint)
         for relay in relays.values():

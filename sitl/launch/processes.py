@@ -129,6 +129,7 @@ class Child:
         self.words = words
         self.killed = False  # on purpose: then its end is not reported
         self.heard_s = -math.inf  # when it printed its last line, by the monotonic clock
+        self.answered = False  # whether it has printed the first line for which the launcher waits
         self.aloud = False  # its log lines are printed at once: nobody reads the inbox any more
         self._inbox = inbox
         self._answer = Inbox()
@@ -217,7 +218,7 @@ class Child:
     def _said(self, line: str, on_stdout: bool) -> None:
         self.heard_s = time.monotonic()
         if on_stdout and self._awaited:
-            self._awaited = False
+            self._awaited, self.answered = False, True
             self._answer.put(line)
         elif STACK.match(line):  # at once: it is about to be killed, and then nobody reads the inbox
             print(f"{self.part}: {line}", file=sys.stderr)
@@ -272,6 +273,10 @@ class Processes:
                 raise_for(item)
         return line
 
+    def has_answered(self, part: str) -> bool:
+        """Whether a part that answers has done so; once it has ended, whoever has waited for it."""
+        return part in self._children and self._children[part].answered
+
     def release(self, part: str) -> None:
         """Let a part outlast the others: its end is the caller's business."""
         del self._children[part]
@@ -319,11 +324,15 @@ class Processes:
             self._tell_what_the_recorder_lacks()
 
     def _tell_what_the_recorder_lacks(self) -> None:
-        """Tell what stopped the recording, such as a full disk, when nobody reads the inbox any more."""
+        """Tell what stopped the recording, such as a full disk, when nobody reads the inbox any more.
+
+        A recorder that was interrupted before it began lacks nothing.
+        """
         with contextlib.suppress(queue.Empty):
             while True:
                 item = self._inbox.get(timeout=0.0)
-                if isinstance(item, Ended) and item.part == RECORDER and item.status > 0:
+                stopped = isinstance(item, Ended) and item.part == RECORDER and item.status > 0
+                if stopped and item.status != INTERRUPTED:
                     print(f"warning: {KINDS[RECORDER].spared}: {item.last_words}", file=sys.stderr)
 
 

@@ -51,6 +51,10 @@ class RecordFiles:
             self.path = self._wanted
         return ""
 
+    def made_if(self, made: bool) -> None:
+        """Note whether the recorder has made the files."""
+        self.made = made
+
     def tell(self, to: TextIO) -> None:
         """Say where the record is, if there is one."""
         if self.made and self.path.exists():
@@ -59,9 +63,10 @@ class RecordFiles:
     def give_up(self, *, refused: bool) -> None:
         """Clean up after a failed mission, and say where its record is.
 
-        It is deleted if it was refused, or if older files are still in place.
+        It is deleted if it was refused, or if older files are still in place. Files beside older ones are
+        ours in any case.
         """
-        if self.made and (refused or self.path != self._wanted):
+        if self.path != self._wanted or (self.made and refused):
             for path in both(self.path):
                 path.unlink(missing_ok=True)
         self.tell(sys.stderr)

@@ -240,6 +240,35 @@ def test_an_interrupt_while_it_starts_leaves_nothing_behind(
     assert nothing_is_left(pids)
 
 
+def test_an_interrupt_while_the_recorder_starts_leaves_a_whole_record_and_names_it(
+    start, wait_until: Callable, tmp_path: Path
+) -> None:
+    mission = start(*LONG, "--record", "flight.mcap", cwd=tmp_path)
+    wait_until((tmp_path / "flight.mcap").exists)
+    mission.process.send_signal(signal.SIGINT)
+    assert mission.ended() == 130
+    assert mission.err[-2:] == ["record   flight.mcap\n", "interrupted\n"]
+    assert not mission.says("warning")
+    assert read(tmp_path / "flight.mcap").complete
+
+
+def test_an_interrupt_while_the_recorder_starts_leaves_older_files_alone(
+    start, wait_until: Callable, tmp_path: Path
+) -> None:
+    for name in ("flight.mcap", "flight.tlog"):
+        (tmp_path / name).write_text("old")
+    mission = start(*LONG, "--record", "flight.mcap", "--force", cwd=tmp_path)
+    wait_until(lambda: [*tmp_path.glob(".flight-*.mcap")])
+    mission.process.send_signal(signal.SIGINT)
+    assert mission.ended() == 130
+    assert mission.err[-1] == "interrupted\n"
+    assert not mission.says("warning")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        "flight.mcap": "old",
+        "flight.tlog": "old",
+    }
+
+
 def test_an_unknown_policy_is_one_line_and_status_2(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

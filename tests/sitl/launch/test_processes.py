@@ -17,6 +17,7 @@ from link.bus.inbox import WAITING_MESSAGES, Inbox
 from link.bus.log import Log
 from link.bus.session import SIGNAL_POLL_S
 from link.bus.tally import OVERFLOW, Tally
+from link.early import INTERRUPTED
 from sitl.launch import processes as module
 from sitl.launch.processes import FLYING, KINDS, RECORDER, Ended, LogLine, MissionFailed, Processes
 
@@ -366,3 +367,18 @@ def test_a_part_that_would_not_survive_the_question_is_not_asked_for_its_stacks(
     wait_until(launched.lines)
     launched.processes.tell_stacks("agent")
     assert not child.wait(0.2)
+
+
+def test_a_recorder_that_is_interrupted_before_it_begins_is_no_warning(
+    launched: Launched, capsys: pytest.CaptureFixture[str]
+) -> None:
+    launched.inbox.put(Ended("recorder", INTERRUPTED, "no last words"))
+    launched.processes.stop()
+    assert capsys.readouterr().err == ""
+    assert not launched.processes.has_answered(RECORDER)
+
+
+def test_a_recorders_answer_counts_even_if_nobody_has_waited_for_it(launched: Launched) -> None:
+    child = launched.processes.start("recorder", TOLD, "print('recording')")
+    child.join()
+    assert launched.processes.has_answered(RECORDER)

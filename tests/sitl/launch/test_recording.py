@@ -84,6 +84,13 @@ def test_of_a_mission_that_never_began_the_older_files_stay(old: Path, refused: 
     assert content(old.parent) == {"good.mcap": "old", "good.tlog": "old frames"}
 
 
+def test_files_beside_older_ones_are_removed_even_if_the_recorder_never_said_that_it_began(old: Path) -> None:
+    files = made(old)
+    files.made_if(False)
+    files.give_up(refused=False)
+    assert content(old.parent) == {"good.mcap": "old", "good.tlog": "old frames"}
+
+
 def test_files_that_no_recorder_of_ours_has_made_are_not_removed(tmp_path: Path) -> None:
     files = RecordFiles(tmp_path / "good.mcap")
     files.prepare(force=False)
