@@ -335,7 +335,7 @@ class Bus:
 
         service: whose, of a key that each service has.
         """
-        waiting = zenoh.handlers.FifoChannel(most_waiting(key))
+        waiting: Any = zenoh.handlers.FifoChannel(most_waiting(key))
         replies = ask_for_kept(self._session, key.named(service), key.delivery.kept, waiting)
         samples = (reply.ok for reply in replies if reply.ok is not None)
         return [arrival for sample in samples if (arrival := self._arrival(key, sample))]

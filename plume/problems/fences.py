@@ -125,8 +125,8 @@ def _fence(shapes: Sequence[Shape]) -> GroundFence:
     for shape in outs:
         if len(shape.rings) > 1:
             raise ValueError(
-                f"the polygon {shape.name[:40]!r} to keep out of has a hole; wanted one without: no way leads "
-                "into it"
+                f"the polygon {shape.name[:40]!r} to keep out of has a hole; wanted one without: no way "
+                "leads into it"
             )
     (home,), (within,) = homes, ins
     return GroundFence(home, within.rings[0], [*within.rings[1:], *(shape.rings[0] for shape in outs)])

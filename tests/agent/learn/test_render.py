@@ -19,6 +19,7 @@ from agent.learn.render import Onlooker
 from estimator.criterion import parse
 from plume.scenario import draw
 from plume.worlds.world import World
+from scene.scene import Scene
 
 pytestmark = pytest.mark.slow
 
@@ -105,7 +106,16 @@ def test_the_end_of_a_mission_is_judged() -> None:
     assert short.onlooker.scene(short.missions, 0).ending.verdict == "not ceased"  # type: ignore[union-attr, arg-type]
 
 
-def test_a_scene_has_the_stop_and_the_budget_of_the_resets_problem() -> None:
+def test_a_scene_has_the_stop_and_the_budget_of_the_resets_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    from scene.drawing import Drawing
+
+    rooms = []
+
+    def drawing(scene: Scene, steps: int) -> Drawing:
+        rooms.append(steps)
+        return Drawing(scene, steps=steps)
+
+    monkeypatch.setattr("scene.drawing.Drawing", drawing)
     one, many = (
         SourceSearch("rgb_array", particles=60),
         SourceSearchVector(render_mode="rgb_array", particles=60),
@@ -116,9 +126,9 @@ def test_a_scene_has_the_stop_and_the_budget_of_the_resets_problem() -> None:
         env.reset(seed=5, options={"problem": problem})
         assert env.onlooker.scene(env.missions, 0).stop == "within:2,0.9"  # type: ignore[union-attr, arg-type]
         env.render()
-        assert env.onlooker._drawings[0]._room[0] == 3  # type: ignore[union-attr]
         env.reset(seed=5)
         assert env.onlooker.scene(env.missions, 0).stop == "spread:0.5"  # type: ignore[union-attr, arg-type]
+    assert rooms == [3, 3]
 
 
 def test_a_set_of_problems_is_drawn_each_as_it_is() -> None:
