@@ -335,17 +335,12 @@ class Bus:
 
         service: whose, of a key that each service has.
         """
-<<<<<<< HEAD
-        waiting: Any = zenoh.handlers.FifoChannel(most_waiting(key))
-        replies = ask_for_kept(self._session, key.named(service), key.delivery.kept, waiting)
-=======
         replies = ask_for_kept(
             self._session,
             key.named(service),
             key.delivery.kept,
             zenoh.handlers.FifoChannel(most_waiting(key)),
         )
->>>>>>> 58f9f1eb (Changelog: three faults of vehicles that are started by hand, and of missions interrupted at their start)
         samples = (reply.ok for reply in replies if reply.ok is not None)
         return [arrival for sample in samples if (arrival := self._arrival(key, sample))]
 
