@@ -118,5 +118,5 @@ def _check(found: Buildings) -> None:
 
 
 def outline(building: Building) -> Array:
-    """Return the corners (K, 2) of a footprint, each once: the first one may be repeated at the end."""
+    """Return the corners (K, 2) of a footprint, without those that are where the next one is, around it."""
     return polygons.outline(building.footprint)

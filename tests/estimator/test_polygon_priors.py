@@ -301,6 +301,7 @@ def test_what_is_no_polygon_in_the_area_is_refused(prior_, line: str) -> None:
     assert str(refused.value) == line
 
 
-def test_fields_of_a_part_that_were_not_read_as_one_are_refused() -> None:
+def test_fields_of_a_part_are_read_as_one() -> None:
+    assert Problem(prior=[{"place": (5, 5)}]) == Problem(prior=(PriorPart(place=(5, 5)),))  # type: ignore[list-item]
     with pytest.raises(ValueError, match="prior: wanted either the corners of one polygon or parts"):
-        Problem(prior=[{"place": (5, 5)}])  # type: ignore[list-item]
+        Problem(prior=[{"place": (5, 5)}, (5, 5)])  # type: ignore[list-item]
