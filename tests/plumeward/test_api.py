@@ -234,7 +234,7 @@ NUMBERS: list[tuple[str, Any, str]] = [
     ),
     *(
         ("threshold_m", value, f"threshold_m {value!r} is not allowed; wanted a number above 0 up to 100")
-        for value in (math.nan, -1, 0, 1000, math.inf, "1", None)
+        for value in (math.nan, -1, 0, 1000, math.inf, "1")
     ),
     *(
         ("margin_m", value, f"margin_m {value!r} is not allowed; wanted a number from 0 up to 100000")

@@ -22,7 +22,7 @@ import pytest
 
 from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow
-from agent.trials.sweep import PACKAGES
+from agent.trials.sources import PACKAGES
 
 pytestmark = [pytest.mark.full, pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed")]
 
