@@ -123,6 +123,7 @@ class Uav:
         self._services: set[str] = set()
         self._misfit = ""  # why it does not take off with the estimator that is there
         self._left: set[int] = set()  # the vehicles that have left a search of several
+        self._early = b""  # waypoints that fit no round yet: who has left or come may not be known here
         self._joining: Joining | None = None  # while it comes late and has no part in the search yet
         self._asking = Backoff(ASK_S, ASK_S)
         self._tally.state = search.state
@@ -243,25 +244,17 @@ class Uav:
         if arrival.key is WAYPOINT and (self._search.left or self._sampling.newest < together.begin - 1):
             return  # it is for those that take part
         if arrival.key is WAYPOINT and together.among > 1:
-            waypoint, places = unpack_plan(arrival.payload, self._clients.system)
-            step = self._sampling.newest
-            wanted = len(together.here(step))
-            if len(places) != wanted and waypoint.time_boot_ms == self._search.answers.newest:
-                raise BadFrame(f"{len(places)} waypoints; wanted one for each of {wanted} vehicles")
-            own = waypoint.y, waypoint.x  # the vehicle judges it
-            for x, y in (place for place in places if place != own):
-                if wrong := self._vehicle.config.outside((y, x, 0.0)):
-                    raise BadFrame(f"the waypoint of another vehicle, {wrong[1]}", wrong[0])
-            if self._answer(waypoint):
-                self._sensor.go(places, step)
+            self._hear_plan(arrival.payload)
         elif arrival.key is WAYPOINT:
             self._answer(unpack_waypoint(arrival.payload, self._clients.system))
         elif arrival.key is DEPARTURE:
             if left := bus.decode(arrival, Departure):
                 self._leaves(bus, left)
+                self._hear_early()
         elif arrival.key is LATECOMER:
             if late := bus.decode(arrival, Latecomer):
                 self._comes_late(bus, late)
+                self._hear_early()
         elif arrival.key is BELIEF:
             if self._joining and (belief := bus.decode(arrival, Belief)):
                 self._joining.hear(belief)
@@ -272,6 +265,40 @@ class Uav:
             self._sampling.take(arrival.payload)
         else:
             self._clients.take(arrival)
+
+    def _hear_plan(self, payload: bytes) -> None:
+        """Take the waypoints of a round of several vehicles. Raises BadFrame.
+
+        They may overtake the news that a vehicle has left or come: the first that do not fit wait for it.
+        """
+        try:
+            self._take_plan(payload)
+        except BadFrame as error:
+            if error.kind != "other vehicle" or self._early:
+                raise
+            self._early = payload
+        else:
+            self._early = b""
+
+    def _hear_early(self) -> None:
+        """Take waypoints that waited for the news that has come. Raises BadFrame."""
+        payload, self._early = self._early, b""
+        if payload and not self._search.left:
+            self._hear_plan(payload)
+
+    def _take_plan(self, payload: bytes) -> None:
+        waypoint, places = unpack_plan(payload, self._clients.system)
+        step = self._sampling.newest
+        wanted = len(self._sensor.together.here(step))
+        if len(places) != wanted and waypoint.time_boot_ms == self._search.answers.newest:
+            found = f"{len(places)} waypoints; wanted one for each of {wanted} vehicles"
+            raise BadFrame(found, "other vehicle")
+        own = waypoint.y, waypoint.x  # the vehicle judges it
+        for x, y in (place for place in places if place != own):
+            if wrong := self._vehicle.config.outside((y, x, 0.0)):
+                raise BadFrame(f"the waypoint of another vehicle, {wrong[1]}", wrong[0])
+        if self._answer(waypoint):
+            self._sensor.go(places, step)
 
     def _leaves(self, bus: Bus, left: Departure) -> None:
         """Take that a vehicle has left the search. Raises BadFrame."""
