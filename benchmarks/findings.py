@@ -45,7 +45,7 @@ from link.bus.mavlink import Reading
 from link.files import whole
 from plume.dispersion import concentration
 from plume.elementary import Array
-from plume.outcome import interval
+from plume.outcome import rate_interval
 from plume.problem import ALTITUDE_M
 from plume.randomness import derived_seed
 from plume.scenario import AREA_M, draw
@@ -120,7 +120,7 @@ def cover(cell: Cell) -> Covered:
     contour = contour_95(*places_of(particles, said.unknowns, said.mean), scale)
     gain = named(world).errors(cell.seed).gain
     rate = flown.scenario.q * gain * said.diffusivity / flown.scenario.d
-    low, high = interval("q", said.unknowns, particles) or (said.rate, said.rate)
+    low, high = rate_interval(said.unknowns, particles, said.intermittency) or (said.rate, said.rate)
     return Covered(
         cell.world,
         cell.seed,

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from plume.elementary import quantiles
+from plume.elementary import exp, log, quantiles
 from plume.geodesy import to_global
 from plume.problem import AREA, Area
 from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M, SURE_OUTSIDE, Scenario
@@ -23,6 +23,9 @@ NOBODY: Mapping[int, int] = MappingProxyType({})  # no vehicle, by its number
 # Words for gas, by the least coefficient of variation near the source that they stand for.
 BURSTS, COMES_AND_GOES = 1.0, 0.5
 ENDS = (0.025, 0.975)  # levels of the ends of a 95% interval
+# Puffs a second below which regions and intervals are wider than the belief's own, by the fourth root of how
+# much fewer there are. docs/findings.md has how the law was chosen and what it holds.
+FEW_PUFFS, GREATEST_WIDTH = 200.0, 2.0
 DEGREE_DECIMALS = 8  # of latitude and longitude: a millimetre, the same on all processors
 FARTHEST_M = 1e7  # from home
 # Gas whose cv may be less than COMES_AND_GOES and also this is not known well enough for a word.
@@ -64,6 +67,32 @@ def interval(name: str, unknowns: Sequence[str], particles: ArrayLike) -> tuple[
     weights = rows[:, -1]
     low, high = quantiles(rows[:, [*unknowns].index(name)], weights / weights.max(), ENDS)
     return low, high
+
+
+def width_of_few_puffs(intermittency: Mapping[str, Quantiles]) -> float:
+    """Return how many times as wide as the belief's own a 95% interval is, at least 1, by its intermittency.
+
+    The filter takes readings for independent. Where puffs are few, several meet the same one, and the belief
+    is surer than it should be.
+    """
+    _, puffs_per_s, _ = intermittency.get("puff-rate", (FEW_PUFFS,) * 3)
+    fewer = FEW_PUFFS / max(puffs_per_s, 1.0)
+    return min(math.sqrt(math.sqrt(fewer)), GREATEST_WIDTH) if fewer > 1.0 else 1.0
+
+
+def rate_interval(
+    unknowns: Sequence[str], particles: ArrayLike, intermittency: Mapping[str, Quantiles]
+) -> tuple[float, float] | None:
+    """Return the 95% interval of the release rate, g/s; None where it is no unknown of the belief.
+
+    particles and intermittency: of the belief. Where puffs are few its logarithm is wider.
+    """
+    ends, width = interval("q", unknowns, particles), width_of_few_puffs(intermittency)
+    if ends is None or width == 1.0 or not 0.0 < ends[0] < ends[1]:
+        return ends
+    low, high = ends
+    further = float(exp((width - 1.0) / 2.0 * log(high / low)))
+    return low / further, high * further
 
 
 class TracePoint(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -16,7 +16,7 @@ from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
 from link.cli import HEADINGS, MOST_MEASUREMENTS, PARTICLES
 from plume.geodesy import HOME
-from plume.outcome import LastWord, Outcome, TracePoint, interval, outcome
+from plume.outcome import LastWord, Outcome, TracePoint, outcome, rate_interval
 from plume.problem import PAPER, Problem
 from plume.problems.fleet import ALONE, Fleet
 from plume.problems.names import sensor_of, with_arguments
@@ -276,6 +276,8 @@ def rollout(
         searched.area,
         said.intermittency,
         said.advised_dwell,
-        LastWord(said.covariance, said.rate, interval("q", said.unknowns, step.particles)),
+        LastWord(
+            said.covariance, said.rate, rate_interval(said.unknowns, step.particles, said.intermittency)
+        ),
         searched.home or HOME,
     ), trace

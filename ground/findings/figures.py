@@ -21,7 +21,7 @@ from ground.findings.verdict import DOUBTFUL, NOT_FOUND, OUTSIDE, Judgement, ver
 from link.bus.messages import Belief
 from plume import __version__
 from plume.geodesy import to_global
-from plume.outcome import gas_lines, interval
+from plume.outcome import gas_lines, interval, rate_interval
 from plume.problem import Area
 from plume.scenario import Scenario
 from plume.sensors.instruments import Instrument
@@ -130,7 +130,7 @@ def findings_of(flight: Flight) -> Findings:
         ellipse=ellipse_95(last.mean, last.covariance, scale),
         contour=contour,
         height=_ranged("z", last.z, flight) if "z" in last.unknowns else None,
-        rate=_ranged("q", last.rate, flight),
+        rate=_rate(flight),
         wind=_wind(flight),
         gas=last.intermittency,
         smallest=smallest_rates(flight, told, area) if not_found else None,
@@ -148,6 +148,12 @@ def _ranged(name: str, value: float, flight: Flight) -> Ranged:
     half = Z_95 * last.stds[last.unknowns.index(name)]
     least = 0.0 if name in ("q", "tau", "u", "wind-speed", "noise") else -math.inf
     return Ranged(value, max(value - half, least), value + half)
+
+
+def _rate(flight: Flight) -> Ranged:
+    last, particles = flight.last, flight.particles
+    ends = None if particles is None else rate_interval(last.unknowns, particles, last.intermittency)
+    return Ranged(last.rate, *ends) if ends else _ranged("q", last.rate, flight)
 
 
 def _wind(flight: Flight) -> FlownWind:

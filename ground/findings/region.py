@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from link.bus.messages import Belief, Particles
+from plume.outcome import width_of_few_puffs
 from scene.scene import ellipse
 
 Array = NDArray[np.float64]
@@ -66,12 +67,14 @@ def scale_of(last: Belief) -> float:
     """Return how much wider the 95% region is than the belief's own; 1 if the search did not stop.
 
     The filter takes readings for independent, and its priors allow for more errors than there mostly are. So
-    a stop's belief is too wide where the gas is steady, and too narrow where it comes and goes.
+    a stop's belief is too wide where the gas is steady, and too narrow where it comes and goes, and the more
+    so the fewer its puffs are.
     """
     if not last.ceased or "downwind" not in last.intermittency:
         return 1.0
     _, cv, _ = last.intermittency["downwind"]
-    return min(max(math.sqrt(AREA_BY_CV * cv), LEAST_SCALE), GREATEST_SCALE)
+    scale = math.sqrt(AREA_BY_CV * cv) * width_of_few_puffs(last.intermittency)
+    return min(max(scale, LEAST_SCALE), GREATEST_SCALE)
 
 
 class Contour95(NamedTuple):

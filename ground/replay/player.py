@@ -36,7 +36,7 @@ from link.bus.messages import Belief, Health, by_number, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.cli import numbers
 from link.record.record import Entry
-from plume.outcome import interval
+from plume.outcome import rate_interval
 from sitl.launch.processes import RECORDER, Ended, LogLine, Processes, raise_for, secure_words
 from sitl.launch.progress import Progress, pace
 
@@ -297,7 +297,7 @@ class Player:
         unknowns = self.last.unknowns
         with contextlib.suppress(ValueError):
             particles = unpack_particles(self.said[self._newest].attachment, len(unknowns))
-            return interval("q", unknowns, particles)
+            return rate_interval(unknowns, particles, self.last.intermittency)
         return None
 
     def _answered(self, answer: Answer) -> None:

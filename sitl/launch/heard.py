@@ -25,7 +25,7 @@ from link.bus.keys import (
 from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.bus.messages import Belief, Departure, Health, Latecomer, Stop, by_number, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange, part_of
-from plume.outcome import LastWord, Left, TracePoint, interval
+from plume.outcome import LastWord, Left, TracePoint, rate_interval
 from scene.follow.area import PLACING, AreaFrame
 from scene.follow.telemetry import LOCAL, frames
 from sitl.launch.processes import MissionFailed
@@ -287,11 +287,11 @@ class MissionHeard:
 
     def last_word(self, last: Belief) -> LastWord:
         """Return what else the last belief says; without its particles the rate has no interval."""
-        rate_interval = None
+        ends = None
         with contextlib.suppress(ValueError):
             particles = unpack_particles(self._particles, len(last.unknowns))
-            rate_interval = interval("q", last.unknowns, particles)
-        return LastWord(last.covariance, last.rate, rate_interval)
+            ends = rate_interval(last.unknowns, particles, last.intermittency)
+        return LastWord(last.covariance, last.rate, ends)
 
     def _belief(self, belief: Belief | None, particles: bytes) -> Belief | None:
         if not belief or max(seen := by_number(belief)) > len(self.vehicles):

@@ -3,9 +3,19 @@
 import json
 
 import msgspec
+import numpy as np
 import pytest
 
-from plume.outcome import Left, TracePoint, gas_lines, outcome, outcome_json, outcome_text, verdict
+from plume.outcome import (
+    Left,
+    TracePoint,
+    gas_lines,
+    outcome,
+    outcome_json,
+    outcome_text,
+    rate_interval,
+    verdict,
+)
 from plume.problem import AREA
 from plume.scenario import Scenario
 
@@ -60,6 +70,32 @@ def test_it_says_beyond_which_edges_the_estimate_is() -> None:
         1, "random", None, flown((33.0, 34.0)), True, 0.1, "field", "spread:0.5", outside_share=0.962
     )
     assert outcome_text(result).startswith("outside, to the north-east (96%), after 2 steps, 2.0 m\n")
+
+
+# Of 1,000 equal particles from 1 to 1,000 g/s, evenly in the logarithm, 95% lie between 10^0.075 and 10^2.925.
+EVENLY = np.stack([np.logspace(0, 3, 1000), np.ones(1000)], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("puffs_per_s", "low", "high"),
+    [
+        (900.0, 0.075, 2.925),
+        (200.0, 0.075, 2.925),
+        (200 / 1.2**4, -0.21, 3.21),  # 1.2 times as far from the middle, 10^1.5
+        (1.0, -1.35, 4.35),  # never more than twice
+        (0.0, -1.35, 4.35),
+    ],
+)
+def test_the_interval_of_the_rate_is_wider_where_puffs_are_few(
+    puffs_per_s: float, low: float, high: float
+) -> None:
+    ends = rate_interval(["q"], EVENLY, {"puff-rate": (0.0, puffs_per_s, 1e3)})
+    assert np.log10(ends) == pytest.approx((low, high), abs=0.01)
+
+
+def test_a_rate_that_was_told_has_no_interval() -> None:
+    assert rate_interval(["x"], EVENLY, {}) is None
+    assert np.log10(rate_interval(["q"], EVENLY, {})) == pytest.approx((0.075, 2.925), abs=0.01)
 
 
 def test_a_find_near_either_of_two_sources_is_located() -> None:

@@ -95,10 +95,19 @@ def test_the_region_of_a_stop_is_wider_the_more_the_gas_came_and_went(cv: float,
     assert scale_of(replace(last, intermittency={})) == 1.0  # what the gas is like was told
 
 
+@pytest.mark.parametrize(
+    ("puffs_per_s", "wider"), [(900.0, 1.0), (200.0, 1.0), (200 / 16, 2.0), (200 / 1.4641, 1.1), (1e-9, 2.0)]
+)
+def test_it_is_wider_still_the_fewer_puffs_there_were(puffs_per_s: float, wider: float) -> None:
+    gas = {"downwind": (0.3, 2 / 3, 0.9), "puff-rate": (1e-9, puffs_per_s, 1e9)}
+    assert scale_of(replace(findings().last, ceased=True, intermittency=gas)) == pytest.approx(wider)
+
+
 def test_findings_say_how_much_wider_their_region_is() -> None:
     it = findings()
     _, cv, _ = it.last.intermittency["downwind"]
-    scale = math.sqrt(1.5 * cv)
+    _, puffs_per_s, _ = it.last.intermittency["puff-rate"]
+    scale = math.sqrt(1.5 * cv) * max(200 / puffs_per_s, 1.0) ** 0.25
     assert as_json(it)["region_95"]["scale"] == pytest.approx(scale)
     own = ellipse_95(it.last.mean, it.last.covariance)
     assert it.ellipse.longer_m == pytest.approx(scale * own.longer_m)
