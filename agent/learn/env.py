@@ -220,12 +220,13 @@ class Settings:
     def pay(self, frames: Array, problems: Sequence[Problem]) -> Array:
         """Return the reward of a move in each of these frames (B, 3), without that of a stop: (B,).
 
-        A move is as long as the frame's unit, whether or not an edge cuts it off.
+        A move counts as a whole step, in the frame's unit, whether or not it is shorter or an edge cuts it
+        off.
         """
         step, _ = REWARDS[self.reward]
         if self.reward != "way":
             return np.full(len(frames), step)
-        lengths_m = np.sqrt(np.square(frames[:, :2]).sum(axis=1))
+        lengths_m = self.move.step_m * np.sqrt(np.square(frames[:, :2]).sum(axis=1))
         sides_m = np.array([problem.area.side_m for problem in problems])
         return np.asarray(step * (lengths_m / (WAY * sides_m)))
 
@@ -308,7 +309,7 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
     |---|---|---|
     | `"cost"`, the default | −0.01 | 1 |
     | `"paper"` | 0 | 1 |
-    | `"way"` | −0.01 for a thirtieth of the area's side that the move is long | 1 |
+    | `"way"` | −0.01 for a thirtieth of the area's side that a whole step is long | 1 |
 
     A stop is rewarded whether it is right or wrong.
 

@@ -145,6 +145,16 @@ def test_a_short_move_costs_less_by_its_way() -> None:
         assert env.step(8)[1] == pytest.approx(-0.0025)
 
 
+@pytest.mark.parametrize("observation", SCHEMAS)
+@pytest.mark.parametrize("scale", [0.5, 1, 4])
+def test_a_step_costs_the_same_share_of_an_area_of_any_size(observation: str, scale: float) -> None:
+    side_m = 30 * scale
+    problem = {"area": {"low": [0, 0], "high": [side_m, side_m]}, "step_m": scale}
+    env = make(reward="way", observation=observation, problem=problem, threshold_m=0.01)
+    env.reset(seed=0)
+    assert env.step(0)[1] == pytest.approx(-0.01)
+
+
 def test_a_set_of_problems_has_another_one_for_each_seed() -> None:
     settings: dict[str, Any] = {**QUICK, "observation": "polar-2", "problem": "anywhere"}
     several = SourceSearchVector(3, **settings)
