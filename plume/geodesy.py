@@ -16,7 +16,8 @@ def to_global(home_lat_deg: float, home_lon_deg: float, north_m: float, east_m: 
     if arc == 0.0:
         return home_lat_deg, home_lon_deg
     lat0, bearing = math.radians(home_lat_deg), math.atan2(east_m, north_m)
-    lat = math.asin(math.cos(arc) * math.sin(lat0) + math.sin(arc) * math.cos(lat0) * math.cos(bearing))
+    sine = math.cos(arc) * math.sin(lat0) + math.sin(arc) * math.cos(lat0) * math.cos(bearing)
+    lat = math.asin(min(max(sine, -1.0), 1.0))  # at a pole it rounds beyond 1
     turn = math.atan2(
         math.sin(arc) * math.sin(bearing),
         math.cos(lat0) * math.cos(arc) - math.sin(lat0) * math.sin(arc) * math.cos(bearing),

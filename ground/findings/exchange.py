@@ -16,6 +16,7 @@ from link.terminal import printable
 from scene.scene import Point
 
 Position = list[float]  # longitude, latitude: GeoJSON's and KML's order
+Path = list[Sequence[float]]  # (east, north) of home, degrees; of a ring the first place is the last, too
 DECIMALS = 8  # of degrees: a millimetre
 
 
@@ -93,32 +94,115 @@ def _position(it: Findings, place: Sequence[float]) -> Position | None:
     return None if there is None else [round(there[1], DECIMALS), round(there[0], DECIMALS)]
 
 
-def _positions(it: Findings, places: Iterable[Sequence[float]]) -> list[Position]:
-    return [there for place in places if (there := _position(it, place))]
-
-
 def _point(it: Findings, place: Sequence[float]) -> dict[str, Any] | None:
     there = _position(it, place)
     return None if there is None else {"type": "Point", "coordinates": there}
 
 
-def _line(it: Findings, places: Sequence[Sequence[float]]) -> dict[str, Any] | None:
-    return None if it.flight.home is None else {"type": "LineString", "coordinates": _positions(it, places)}
+def _line(it: Findings, places: Iterable[Sequence[float]]) -> dict[str, Any] | None:
+    return _geometry("LineString", _ways(it, places))
 
 
-def _polygons(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> dict[str, Any] | None:
-    """Return a Polygon, or a MultiPolygon of several outer rings, each with the holes within it.
+def _polygons(it: Findings, rings: Iterable[Sequence[Sequence[float]]]) -> dict[str, Any] | None:
+    return _geometry("Polygon", _shapes(it, rings))
 
-    None without a home, or if they lie nowhere on earth.
+
+def _geometry(kind: str, parts: Sequence[Any]) -> dict[str, Any] | None:
+    """Return a geometry of its parts' coordinates; None if it has none."""
+    if len(parts) == 1:
+        return {"type": kind, "coordinates": parts[0]}
+    return {"type": f"Multi{kind}", "coordinates": parts} if parts else None
+
+
+def _ways(it: Findings, places: Iterable[Sequence[float]]) -> list[list[Position]]:
+    """Return a way in parts that do not cross the antimeridian; places that are not on earth are left out."""
+    path = _path(it, filter(it.on_earth, places))
+    return [
+        _positions(it, part, turn)
+        for is_west, edge, turn in _sides(it)
+        for part in _parts(path, edge, is_west)
+        if len(part) > 1
+    ]
+
+
+def _shapes(it: Findings, rings: Iterable[Sequence[Sequence[float]]]) -> list[list[list[Position]]]:
+    """Return polygons that do not cross the antimeridian, each an outer ring and the holes within it.
+
+    rings: (x, y) m; outer ones run counter-clockwise. There are no polygons without a home, if the rings lie
+    nowhere on earth, or around a pole, which has no outline in degrees.
     """
-    if it.flight.home is None or not _are_on_earth(it, rings):
-        return None
-    polygons = [[_positions(it, ring) for ring in rings_of] for rings_of in grouped(rings)]
-    if not polygons:
-        return None
-    if len(polygons) == 1:
-        return {"type": "Polygon", "coordinates": polygons[0]}
-    return {"type": "MultiPolygon", "coordinates": polygons}
+    paths = [_path(it, ring) for ring in rings]
+    return [
+        [_positions(it, ring, turn) for ring in polygon]
+        for is_west, edge, turn in _sides(it)
+        for polygon in grouped(_half(paths, edge, is_west))
+        if all(paths)
+    ]
+
+
+def _path(it: Findings, places: Iterable[Sequence[float]]) -> Path:
+    """Return places in degrees east and north of home; none if one is nowhere, or if a pole is in the way."""
+    found: Path = []
+    for place in places:
+        there = it.on_earth(place)
+        if there is None or it.flight.home is None:
+            return []
+        found.append((math.remainder(there[1] - it.flight.home[1], 360.0), there[0] - it.flight.home[0]))
+    return [] if any(abs(a[0] - b[0]) >= 180.0 for a, b in pairwise(found)) else found
+
+
+def _sides(it: Findings) -> list[tuple[bool, float, float]]:
+    """Return both sides of the antimeridian (RFC 7946, 3.1.9): whether it is west of it, where that is in
+    degrees east of home, and what is added to its longitudes.
+    """
+    if it.flight.home is None:
+        return []
+    edge = math.copysign(180.0, it.flight.home[1])
+    return [
+        (is_west, edge - it.flight.home[1], 360.0 * (is_west - (edge > 0.0))) for is_west in (True, False)
+    ]
+
+
+def _positions(it: Findings, path: Iterable[Sequence[float]], turn: float) -> list[Position]:
+    assert it.flight.home
+    lat, lon = it.flight.home
+    return [[round(lon + turn + east, DECIMALS), round(lat + north, DECIMALS)] for east, north in path]
+
+
+def _parts(path: Path, edge: float, is_west: bool) -> list[Path]:
+    """Return the parts of a path on one side of a meridian, in order; the first and the last may be empty."""
+    parts: list[Path] = [[]]
+    for a, b in pairwise([*path, *path[-1:]]):
+        is_here, is_next = ((place[0] <= edge) == is_west for place in (a, b))
+        if is_here:
+            parts[-1].append(a)
+        if is_here != is_next:
+            parts[-1].append((edge, a[1] + (edge - a[0]) / (b[0] - a[0]) * (b[1] - a[1])))
+            if is_here:
+                parts.append([])
+    return parts
+
+
+def _half(rings: Iterable[Path], edge: float, is_west: bool) -> list[Path]:
+    """Return the rings around what lies within rings and on one side of a meridian."""
+    closed: list[Path] = []
+    ways: list[Path] = []  # from the meridian to the meridian
+    for ring in rings:
+        first, *others = _parts(ring, edge, is_west)
+        if others:
+            ways += [others[-1][:-1] + first, *others[:-1]]
+        elif first:
+            closed.append(first)
+    # Along the meridian the inside is between the end of a way and the beginning of one.
+    ends, starts = (sorted(ways, key=lambda way: way[at][1]) for at in (-1, 0))
+    following = {id(end): start for end, start in zip(ends, starts, strict=True)}
+    for way in ways:
+        ring = []
+        while on := following.pop(id(way), None):
+            ring, way = ring + on, on
+        if ring:
+            closed.append([*ring, ring[0]])
+    return closed
 
 
 def _around(it: Findings, outline: Sequence[Point]) -> dict[str, Any] | None:
@@ -130,10 +214,6 @@ def _ring(outline: Sequence[Point]) -> list[Point]:
     """Return corners as a closed ring, counter-clockwise."""
     ring = [*outline, outline[0]]
     return ring if _twice_area(ring) > 0 else ring[::-1]
-
-
-def _are_on_earth(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> bool:
-    return all(it.on_earth(place) for ring in rings for place in ring)
 
 
 def grouped(rings: Sequence[Sequence[Sequence[float]]]) -> list[list[Sequence[Sequence[float]]]]:
@@ -203,8 +283,8 @@ def kml(it: Findings) -> str:
             _placemark("region", "95% region: ellipse", "", _kml_polygon(it, [it.ellipse.outline.tolist()])),
         ]
         if it.contour:
-            for rings in grouped([ring.tolist() for ring in it.contour.rings]):
-                marks.append(_placemark("region", "95% region: particles", "", _kml_polygon(it, rings)))
+            rings = [ring.tolist() for ring in it.contour.rings]
+            marks.append(_placemark("region", "95% region: particles", "", _kml_polygon(it, rings)))
         ring = _rectangle(it.area.low, it.area.high)
         marks.append(_placemark("area", "Search area", "", _kml_polygon(it, [ring])))
         several = len(it.flight.tracks) > 1
@@ -216,8 +296,7 @@ def kml(it: Findings) -> str:
         ]
         for number, track in it.flight.tracks.items():
             if len(track) > 1:
-                places = _coordinates(it, track.tolist())
-                line = f"<LineString><tessellate>1</tessellate>{places}</LineString>"
+                line = _kml_line(it, track.tolist())
                 marks.append(_placemark("track", f"Track of uav/{number}" if several else "Track", "", line))
         marks += [
             _placemark(
@@ -254,24 +333,35 @@ def _placemark(style: str, name: str, about: str, geometry: str, when: str = "")
     )
 
 
-def _coordinates(it: Findings, places: Iterable[Sequence[float]]) -> str:
-    told = " ".join(f"{lon:.{DECIMALS}f},{lat:.{DECIMALS}f}" for lon, lat in _positions(it, places))
+def _coordinates(places: Iterable[Position]) -> str:
+    told = " ".join(f"{lon:.{DECIMALS}f},{lat:.{DECIMALS}f}" for lon, lat in places)
     return f"<coordinates>{told}</coordinates>"
 
 
 def _kml_point(it: Findings, place: Point) -> str:
-    return f"<Point>{_coordinates(it, [place])}</Point>"
+    there = _position(it, place)
+    return f"<Point>{_coordinates([there])}</Point>" if there else ""
+
+
+def _kml_line(it: Findings, places: Sequence[Sequence[float]]) -> str:
+    return _together("LineString", map(_coordinates, _ways(it, places)))
 
 
 def _kml_polygon(it: Findings, rings: Sequence[Sequence[Sequence[float]]]) -> str:
-    if not _are_on_earth(it, rings):
-        return ""
+    return _together("Polygon", map(_boundaries, _shapes(it, rings)))
+
+
+def _boundaries(rings: Sequence[Iterable[Position]]) -> str:
     edges = ["outerBoundaryIs", *["innerBoundaryIs"] * (len(rings) - 1)]
-    told = "".join(
-        f"<{edge}><LinearRing>{_coordinates(it, ring)}</LinearRing></{edge}>"
+    return "".join(
+        f"<{edge}><LinearRing>{_coordinates(ring)}</LinearRing></{edge}>"
         for edge, ring in zip(edges, rings, strict=True)
     )
-    return f"<Polygon><tessellate>1</tessellate>{told}</Polygon>"
+
+
+def _together(kind: str, parts: Iterable[str]) -> str:
+    told = [f"<{kind}><tessellate>1</tessellate>{part}</{kind}>" for part in parts]
+    return told[0] if len(told) == 1 else f"<MultiGeometry>{''.join(told)}</MultiGeometry>" if told else ""
 
 
 # ---- CSV ----

@@ -48,3 +48,12 @@ def test_longitude_wraps_at_the_date_line():
         -180.0 + math.degrees(100.0 / EARTH_RADIUS_M) - 0.0001
     )
     assert to_local(0.0, 179.9999, 0.0, -179.9999)[1] == pytest.approx(math.radians(0.0002) * EARTH_RADIUS_M)
+
+
+@given(st.sampled_from([-1.0, 1.0]), st.floats(0.0, 1e5), st.floats(-180.0, 180.0), st.floats(-0.01, 0.01))
+def test_a_place_at_a_pole_is_as_far_from_home_as_it_was_flown(pole, away_m, lon, beside_m):
+    home = pole * (90.0 - math.degrees(away_m / EARTH_RADIUS_M)), lon
+    lat, turned = to_global(*home, pole * away_m, beside_m)
+    assert abs(lat) <= 90.0
+    assert abs(turned) <= 180.0
+    assert to_local(*home, lat, turned) == pytest.approx((pole * away_m, beside_m), abs=0.2)
