@@ -11,7 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from plume.geodesy import to_local
+import numpy as np
+
+from plume.geodesy import to_global, to_local
+from plume.problem import Area
 
 # TIFF tags of GeoTIFF 1.1 (OGC 19-008r4), and its keys.
 PIXEL_SCALE, TIEPOINT, TRANSFORMATION, KEYS = 33550, 33922, 34264, 34735
@@ -44,11 +47,11 @@ class Background(NamedTuple):
 
 
 def background(
-    path: Path, home: tuple[float, float], bounds: tuple[float, float, float, float] | None
+    path: Path, home: tuple[float, float], bounds: tuple[float, float, float, float] | None, area: Area
 ) -> Background:
-    """Read an image and place it. Raises BackgroundError.
+    """Read an image and place it. Raises BackgroundError, also if it does not meet the area.
 
-    home: latitude and longitude of the plane's corner, degrees. bounds: west, south, east and north edge
+    home: latitude and longitude of the plane's origin, degrees. bounds: west, south, east and north edge
     of the image, degrees; None where the image says so itself.
     """
     try:
@@ -71,11 +74,37 @@ def background(
         reason = getattr(error, "strerror", None) or "not an image that can be read; wanted PNG, JPEG or TIFF"
         raise BackgroundError(f"{path}: {reason}") from None
     plane = [to_local(*home, lat, lon)[::-1] for lat, lon in corners]
+    _check_place(path, np.array(plane), home, area)
     return Background(uri, *shrunk, _affine(plane, shrunk))
+
+
+def _check_place(path: Path, corners: Any, home: tuple[float, float], area: Area) -> None:
+    """Raise BackgroundError if the rectangle around an image does not meet the area. corners: (3, 2) m."""
+    every = np.concatenate([corners, corners[1:2] + corners[2:] - corners[:1]])
+    if (every.min(axis=0) <= area.high).all() and (every.max(axis=0) >= area.low).all():
+        return
+    middles = every.mean(axis=0), np.mean([area.low, area.high], axis=0)
+    image, searched = (
+        "{:.5f}, {:.5f}".format(*to_global(*home, float(north), float(east))) for east, north in middles
+    )
+    away_m = math.dist(*middles)
+    away = f"{away_m:.0f} m" if away_m < 10_000 else f"{away_m / 1000:,.0f} km"
+    raise BackgroundError(
+        f"{path} does not meet the search area: its middle is at {image}, the area's at {searched}, {away} "
+        "away"
+    )
 
 
 def _picture(image: Any) -> tuple[str, tuple[int, int]]:
     """Return an image as a data URI, no larger than a page needs, and its size."""
+    from PIL import Image
+
+    if image.mode[0] in "IF":  # 16 or 32 bits: their range is shown from black to white
+        values = np.asarray(image, np.float32)
+        finite = values[np.isfinite(values)]
+        low, high = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
+        grey = np.clip((values - low) * (255.0 / ((high - low) or 1.0)), 0.0, 255.0)
+        image = Image.fromarray(np.nan_to_num(grey).astype(np.uint8))
     image = image.convert("RGBA" if image.mode in ("RGBA", "LA", "P") else "RGB")
     image.thumbnail((LONGEST_SIDE, LONGEST_SIDE))
     data, form = io.BytesIO(), "PNG" if image.mode == "RGBA" else "JPEG"

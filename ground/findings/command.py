@@ -10,11 +10,12 @@ from ground.findings.background import Background, BackgroundError, background
 from ground.findings.documents import DOCUMENTS, write
 from ground.findings.exchange import figures_json
 from ground.findings.figures import Findings, findings_of
-from ground.findings.flight import flight_of
+from ground.findings.flight import Flight, flight_of
 from ground.findings.page import sentence
 from link import cli
 from link.record.reader import RecordError, is_record
 from link.terminal import tell
+from scene.follow.described import problem_of
 
 
 def _bounds(text: str) -> tuple[float, float, float, float]:
@@ -76,8 +77,8 @@ def run(args: argparse.Namespace) -> int:
         raise cli.BadInput(str(error)) from None
     if flight is None:
         raise cli.BadInput(f"{args.log} has no belief that can be read: there was no search")
+    picture = _background(args, flight)
     refuse(folder, args.force)
-    picture = _background(args, flight.home)
     it = findings_of(flight)
     results = sys.stderr if args.json else sys.stdout
     save(it, folder, picture)
@@ -112,12 +113,12 @@ def save(it: Findings, folder: Path, picture: Background | None = None) -> None:
         raise cli.BadInput(f"{folder}: {error.strerror}") from None
 
 
-def _background(args: argparse.Namespace, home: tuple[float, float] | None) -> Background | None:
+def _background(args: argparse.Namespace, flight: Flight) -> Background | None:
     if args.background is None:
         return None
-    if home is None:
+    if flight.home is None:
         raise cli.BadInput(f"--background: {args.log} does not say where on earth its area lies")
     try:
-        return background(args.background, home, args.bounds)
+        return background(args.background, flight.home, args.bounds, problem_of(flight.about).area)
     except BackgroundError as error:
         raise cli.BadInput(f"--background: {error}") from None

@@ -1,13 +1,17 @@
 """Protects the background of the map: an image lies where its georeference says, and a wrong one is one line."""
 
+import base64
+import io
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image, TiffImagePlugin
 
-from ground.findings.background import BackgroundError, background, from_utm, from_web_mercator
+from ground.findings.background import Background, BackgroundError, background, from_utm, from_web_mercator
 from plume.geodesy import to_global
+from plume.problem import AREA, Area
 
 HOME = (47.397742, 8.545594)
 
@@ -31,6 +35,12 @@ def tagged(
     return image(path, tiffinfo=tags)
 
 
+def placed(
+    path: Path, bounds: tuple[float, float, float, float] | None = None, area: Area = AREA
+) -> Background:
+    return background(path, HOME, bounds, area)
+
+
 def edges() -> tuple[float, float, float, float]:
     south, west = HOME
     north, east = to_global(*HOME, 20.0, 40.0)
@@ -38,7 +48,7 @@ def edges() -> tuple[float, float, float, float]:
 
 
 def test_an_image_with_bounds_lies_between_them(tmp_path: Path) -> None:
-    found = background(image(tmp_path / "site.png"), HOME, edges())
+    found = placed(image(tmp_path / "site.png"), edges())
     a, b, c, d, e, f = found.to_plane
     assert (c, f) == pytest.approx((0.0, 20.0), abs=0.01)  # its upper left corner
     assert (40 * a + 20 * b + c, 40 * d + 20 * e + f) == pytest.approx((40.0, 0.0), abs=0.01)
@@ -52,15 +62,15 @@ def test_a_geotiff_in_degrees_and_a_world_file_place_it_alike(tmp_path: Path) ->
     png = image(tmp_path / "site.png")
     lines = (scale[0], 0.0, 0.0, -scale[1], west + scale[0] / 2, north - scale[1] / 2)
     (tmp_path / "site.pgw").write_text("\n".join(map(repr, lines)))
-    wanted = background(png, HOME, edges()).to_plane
-    assert background(tiff, HOME, None).to_plane == pytest.approx(wanted, abs=1e-3)
-    assert background(png, HOME, None).to_plane == pytest.approx(wanted, abs=1e-3)
+    wanted = placed(png, edges()).to_plane
+    assert placed(tiff).to_plane == pytest.approx(wanted, abs=1e-3)
+    assert placed(png).to_plane == pytest.approx(wanted, abs=1e-3)
 
 
 def test_a_geotiff_in_utm_lies_where_its_corner_is(tmp_path: Path) -> None:
     # EPSG:32632 of HOME: the meridian of zone 32 is 9° east.
     tiff = tagged(tmp_path / "site.tif", (1.0, 1.0), (465_694.0, 5_249_500.0), [(1024, 1), (3072, 32632)])
-    a, _, c, _, e, f = background(tiff, HOME, None).to_plane
+    a, _, c, _, e, f = placed(tiff).to_plane
     lat, lon = from_utm(32, False, 465_694.0, 5_249_500.0)
     assert to_global(*HOME, f, c) == pytest.approx((lat, lon), abs=1e-7)
     assert (a, -e) == pytest.approx((1.0, 1.0), rel=0.005)  # the sphere is not the ellipsoid
@@ -101,7 +111,7 @@ def test_a_wrong_image_is_one_line(tmp_path: Path, make: object, said: str) -> N
     path = tmp_path / "site.png"
     make(path)  # type: ignore[operator]
     with pytest.raises(BackgroundError, match=said) as error:
-        background(path, HOME, None)
+        placed(path)
     assert "\n" not in str(error.value)
 
 
@@ -109,4 +119,41 @@ def test_a_wrong_image_is_one_line(tmp_path: Path, make: object, said: str) -> N
 def test_a_geotiff_of_another_reference_system_is_refused_by_its_number(number: int, tmp_path: Path) -> None:
     tiff = tagged(tmp_path / "site.tif", (1.0, 1.0), (0.0, 0.0), [(1024, 1), (3072, number)])
     with pytest.raises(BackgroundError, match=f"EPSG:{number}"):
-        background(tiff, HOME, None)
+        placed(tiff)
+
+
+def test_an_image_that_does_not_meet_the_area_is_refused_in_a_line_that_says_where_each_lies(
+    tmp_path: Path,
+) -> None:
+    path = image(tmp_path / "site.png")
+    assert placed(path, edges(), Area((39, 19), (90, 90)))  # a corner of the image is in it
+    with pytest.raises(BackgroundError) as error:
+        placed(path, (7.4, 46.9, 7.5, 47.0))  # Berne
+    said = str(error.value)
+    assert said.startswith(f"{path} does not meet the search area: its middle is at 46.9")
+    assert ", 7.4" in said
+    assert "the area's at 47.39788, 8.54579" in said
+    assert said.endswith(" 97 km away")
+    with pytest.raises(BackgroundError, match=" 26 m away"):
+        placed(path, edges(), Area((41, 0), (51, 20)))
+
+
+@pytest.mark.parametrize("kind", [np.uint16, np.int32, np.float32])
+def test_a_picture_of_16_or_32_bits_is_shown_from_its_least_to_its_greatest(
+    kind: type, tmp_path: Path
+) -> None:
+    values = np.linspace(1000, 5000, 200).reshape(10, 20).astype(kind)
+    if kind is np.float32:
+        values[0, 0] = np.nan  # no data
+    path = tmp_path / "site.tif"
+    Image.fromarray(values).save(path)
+    data = base64.b64decode(placed(path, edges()).uri.partition(",")[2])
+    shown = np.asarray(Image.open(io.BytesIO(data)).convert("L"), float)
+    wanted = 255 * (np.nan_to_num(values, nan=1000) - 1000.0) / 4000
+    assert shown == pytest.approx(wanted, abs=6)  # JPEG loses some
+
+
+def test_a_picture_of_16_bits_and_one_value_is_black(tmp_path: Path) -> None:
+    path = tmp_path / "site.tif"
+    Image.fromarray(np.full((10, 20), 7000, np.uint16)).save(path)
+    assert placed(path, edges()).uri
