@@ -154,7 +154,7 @@ def _prior(
 def _row(name: str, text: str, given: bool, last: Belief, problem: Problem) -> PriorRow:
     meaning, unit = WORDS[name]
     if text == "area" and problem.support:
-        return PriorRow(name, meaning, unit, "", f"anywhere in {problem.support.text}", given)
+        return PriorRow(name, meaning, unit, "", f"anywhere in {problem.support.text}", True)
     if text == "area":
         beyond = "" if last.assume == "paper" else ", and a fifth as likely beyond its edges"
         return PriorRow(name, meaning, unit, "", f"anywhere in the area{beyond}", given)

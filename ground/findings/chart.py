@@ -120,6 +120,7 @@ def _view(it: Findings) -> View:
         np.array([sample.place for sample in it.flight.samples]),
         *it.flight.tracks.values(),
         it.ellipse.outline,
+        *(it.contour.rings if it.contour else []),
     ]
     reach = FURTHEST * max(it.area.size_m)
     every = np.concatenate(places)

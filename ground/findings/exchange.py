@@ -11,7 +11,7 @@ from xml.sax.saxutils import escape
 
 from ground.findings.figures import KG_H, Findings, as_json
 from ground.findings.numbers import utc
-from ground.findings.words import place_text, rate_text
+from ground.findings.words import place_name, place_text, rate_name, rate_text
 from link.terminal import printable
 from scene.scene import Point
 
@@ -275,11 +275,11 @@ KML_STYLES = {
 
 def kml(it: Findings) -> str:
     """Return a KML document with the source, its regions, the area, the track and the readings."""
-    source = _lines(it.verdict.sentence, place_text(it), rate_text(it))
+    source = _lines(it.verdict.sentence, place_text(it), f"{rate_name(it)}: {rate_text(it)}")
     marks = []
     if it.flight.home is not None:
         marks += [
-            _placemark("source", "Source (estimate)", source, _kml_point(it, it.last.mean)),
+            _placemark("source", place_name(it), source, _kml_point(it, it.last.mean)),
             _placemark("region", "95% region: ellipse", "", _kml_polygon(it, [it.ellipse.outline.tolist()])),
         ]
         if it.contour:
@@ -366,6 +366,12 @@ def _together(kind: str, parts: Iterable[str]) -> str:
 
 # ---- CSV ----
 
+SMALLEST = (
+    ("least_gs", "at the best place", "g/s"),
+    ("median_gs", "median over the area", "g/s"),
+    ("share_of_the_area_seen", "share of the area that has one", "1"),
+)
+
 
 def readings_csv(it: Findings) -> str:
     """Return the readings as CSV: a row each, with the unit in the name of each column."""
@@ -394,7 +400,8 @@ def figures_csv(it: Findings) -> str:
     """Return the figures as CSV: name, value, ends of the 95% interval, unit."""
     last, rate = it.last, it.rate
     lat, lon = it.on_earth(last.mean) or (None, None)
-    flight = it.flight
+    flight, smallest = it.flight, it.smallest.as_json(it.on_earth) if it.smallest else {}
+    of_area = SMALLEST if smallest else ()
     rows: list[list[Any]] = [
         ["verdict", it.verdict.kind, None, None, ""],
         ["sentence", it.verdict.sentence, None, None, ""],
@@ -417,6 +424,7 @@ def figures_csv(it: Findings) -> str:
             if it.wind.believed_from
             else []
         ),
+        *([f"smallest rate, {name}", smallest[key], None, None, unit] for key, name, unit in of_area),
         ["diffusivity, told", last.diffusivity, None, None, "m²/s"],
         ["sensor", last.sensor, None, None, it.unit],
         ["assumption", last.assume, None, None, ""],

@@ -14,9 +14,11 @@ from ground.findings.words import (
     believed_from_text,
     compass,
     ellipse_text,
+    place_name,
     place_text,
     quantile_text,
     ranged_text,
+    rate_name,
     rate_text,
     smallest_text,
 )
@@ -102,7 +104,7 @@ def _flown(it: Findings) -> str:
 def sentence(it: Findings) -> str:
     """Return the verdict, and of a find where it is and how much it releases."""
     if it.verdict.kind in (NOT_FOUND, OUTSIDE):
-        return " ".join([it.verdict.sentence, *smallest_text(it)[:1]])
+        return " ".join([it.verdict.sentence, *smallest_text(it)[:2]])
     return (
         f"{it.verdict.sentence} It is at {place_text(it)}, within the 95% region below, and releases "
         f"{rate_text(it)}."
@@ -131,9 +133,8 @@ def _glance(it: Findings) -> list[tuple[str, str]]:
     height = "as told"
     if it.last.z == it.last.altitude_m:
         height = f"taken to be that of the {'end of the path' if it.path_m else 'flight'}"
-    is_find = it.last.ceased
     rows = [
-        ("Source (best estimate)" if is_find else "Centre of the belief, no find", place_text(it)),
+        (place_name(it), place_text(it)),
         (
             "From home",
             f"{_metres(x, half)} m east, {_metres(y, half)} m north",
@@ -143,7 +144,7 @@ def _glance(it: Findings) -> list[tuple[str, str]]:
             "Height above home",
             f"{ranged_text(it.height, 'm')}" if it.height else f"{significant(it.height_m)} m, {height}",
         ),
-        ("Release rate, 95% interval" if is_find else "Release rate if there is a source", rate_text(it)),
+        (rate_name(it), rate_text(it)),
         (
             "The rate is relative to",
             f"the effective diffusivity d = {significant(it.last.diffusivity)} m²/s, which was told: twice "
@@ -160,7 +161,8 @@ def _metres(value: float, half_m: float) -> str:
 
 
 def _scale_text(it: Findings) -> str:
-    return "" if it.scale == 1 else f", {significant(it.scale, 2)} times as wide as the belief's own"
+    told = significant(it.scale, 2)
+    return "" if told == "1.0" else f", {told} times as wide as the belief's own"
 
 
 def _contour_text(it: Findings) -> str:
@@ -227,7 +229,8 @@ def _air(it: Findings) -> list[tuple[str, str]]:
     ]
     for line in gas_lines(it.gas, it.last.advised_dwell or None):
         name, _, words = line.partition(" ")
-        rows.append((name.capitalize(), words.strip()))
+        if name != "puffs":  # they are below, with more digits
+            rows.append((name.capitalize(), words.strip()))
     names = {
         "downwind": "cv 3 m downwind of the source",
         "cv": "cv everywhere",
@@ -265,7 +268,8 @@ def _assumed(it: Findings) -> str:
         ("Stop", f"{last.stop}: {stop_text(last.stop)}; {'met' if last.ceased else 'not met'}"),
         (
             "Area",
-            f"{it.area.text}, east by north of home; the source may be up to {told.margin_m:g} m beyond",
+            f"{it.area.text}, east by north of home; the source "
+            + (f"may be up to {told.margin_m:g} m beyond" if told.margin_m else "is in it"),
         ),
         ("False readings", f"{100 * told.spikes:g}% of the readings are taken to say nothing of the source"),
     ]

@@ -75,14 +75,14 @@ class Smallest(NamedTuple):
                     "rate_gs": rate if math.isfinite(rate) else None,
                 }
             )
-        seen = self.seen
+        seen, median = self.seen, float(np.median(self.rates_gs))
         return {
             "probability": PROBABILITY,
             "method": METHOD,
             "cell_m": self.cell_m,
             "share_of_the_area_seen": len(seen) / self.rates_gs.size,
             "least_gs": float(seen.min()) if len(seen) else None,
-            "median_gs": float(np.median(seen)) if len(seen) else None,
+            "median_gs": median if math.isfinite(median) else None,  # of all cells
             "greatest_gs": float(seen.max()) if len(seen) else None,
             "cells": cells,
         }

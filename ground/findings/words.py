@@ -32,6 +32,16 @@ def ranged_text(it: Ranged, unit: str) -> str:
     return f"{told(it.value, it.low, it.high)} {unit}"
 
 
+def place_name(it: Findings) -> str:
+    """Return what the place is: where the search did not stop, it is no find."""
+    return "Source (best estimate)" if it.last.ceased else "Centre of the belief, no find"
+
+
+def rate_name(it: Findings) -> str:
+    """Return what the release rate is."""
+    return "Release rate, 95% interval" if it.last.ceased else "Release rate if there is a source"
+
+
 def rate_text(it: Findings) -> str:
     """Return the release rate in g/s and kg/h."""
     return f"{ranged_text(it.rate, 'g/s')}; {ranged_text(it.rate.times(KG_H), 'kg/h')}"
@@ -58,10 +68,11 @@ def smallest_text(it: Findings) -> list[str]:
     if not len(seen):
         return ["Nowhere in the area would a source of any rate have been seen with 90% probability."]
     least, greatest = float(seen.min()), float(seen.max())
-    lines = [f"Best place: {both_rates(least)}."]
-    for words, share in (("Half of the area", 0.5), ("Nine tenths of it", 0.9)):
+    rates = [f"{both_rates(least)} at the best place"]
+    for words, share in (("half of the area", 0.5), ("nine tenths of it", 0.9)):
         if math.isfinite(rate := _share(it, share)):
-            lines[0] += f" {words}: {both_rates(rate)} or less."
+            rates.append(f"in {words} {both_rates(rate)} or less")
+    lines = [f"Smallest rate that would have been seen: {'; '.join(rates)}."]
     if len(seen) == size:
         lines.append(f"Anywhere in the area a source of {both_rates(greatest)} would have been seen.")
     else:

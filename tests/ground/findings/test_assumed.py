@@ -51,6 +51,14 @@ def test_a_given_prior_stands_in_place_of_the_assumptions() -> None:
     assert told.margin_m == 4.0
 
 
+def test_the_prior_of_a_problem_was_given() -> None:
+    it = findings()
+    about = {"problem": {"prior": {"low": [5, 5], "high": [20, 25]}}}
+    rows = [row for row in told_of(it.last, about).priors if row.name in ("x", "y")]
+    assert [(row.given, row.words) for row in rows] == [(True, "anywhere in [5, 20] x [5, 25] m")] * 2
+    assert not any(row.given for row in it.told.priors if row.name in ("x", "y"))
+
+
 def test_under_paper_only_the_place_has_a_prior() -> None:
     it = findings(GOLDEN / "homing-gaussian.mcap")
     assert [row.name for row in it.told.priors] == ["x", "y"]

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 import jsonschema
 import msgspec
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -213,6 +214,22 @@ def test_all_documents_are_written_whole_and_the_same_twice(found: Findings, tmp
     assert [path.name for path in first] == list(DOCUMENTS)
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
     assert sorted(path.name for path in (tmp_path / "one").iterdir()) == sorted(DOCUMENTS)
+
+
+def test_where_nothing_was_found_no_document_calls_a_place_the_source(tmp_path: Path) -> None:
+    def cut_short(entry: Entry) -> Entry | None:
+        return None if entry.key == "belief" and json.loads(entry.payload)["step"] > 3 else entry
+
+    it = findings(rewritten(tmp_path / "short.mcap", cut_short))
+    assert it.verdict.kind == "not found"
+    assert it.smallest
+    names = [each.text for each in ElementTree.fromstring(kml(it)).iter(f"{KML}name")]
+    assert "Centre of the belief, no find" in names
+    assert not [name for name in names if name and name.startswith("Source")]
+    assert "Release rate if there is a source: " in kml(it)
+    rows = {row["figure"]: row["value"] for row in csv.DictReader(io.StringIO(figures_csv(it)))}
+    share = np.isfinite(it.smallest.rates_gs).mean()
+    assert float(rows["smallest rate, share of the area that has one"]) == pytest.approx(share)
 
 
 # ---- records of all kinds ----

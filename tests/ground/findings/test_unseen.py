@@ -3,13 +3,16 @@ such a rate, drawn by other code, nine in ten are seen.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from estimator.kernels.spikes import spike_density as kernel_of_spikes
 from ground.findings.flight import Flight
-from ground.findings.unseen import CLEAR, Supposed, smallest_rate, smallest_rates, spike_density
+from ground.findings.page import sentence
+from ground.findings.unseen import CLEAR, Smallest, Supposed, smallest_rate, smallest_rates, spike_density
+from ground.findings.verdict import NOT_FOUND, Judgement
 from plume.dispersion import concentration
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.problem import AREA
@@ -105,6 +108,25 @@ def test_there_is_a_map_for_every_sensor(name: str) -> None:
     assert found.rates_gs.shape == (15, 15)
     assert np.isfinite(found.rates_gs).any()
     assert (found.rates_gs > 0).all()
+
+
+def cells(*rates: float) -> Smallest:
+    """Return a map of 225 cells with these rates; the others see none."""
+    values = np.full(225, math.inf)
+    values[: len(rates)] = rates
+    return Smallest(AREA, values.reshape(15, 15), 1)
+
+
+def test_the_median_rate_suffices_in_half_of_the_area_and_is_null_where_that_sees_none() -> None:
+    few = cells(*range(1, 50))
+    told = few.as_json(lambda place: None)
+    assert (told["least_gs"], told["median_gs"], told["greatest_gs"]) == (1, None, 49)
+    assert "or less" not in sentence(replace(findings(), smallest=few, verdict=Judgement(NOT_FOUND, "None.")))
+    most = cells(*range(1, 201))
+    assert most.as_json(lambda place: None)["median_gs"] == 113  # 112 below, 112 above or none
+    said = sentence(replace(findings(), smallest=most, verdict=Judgement(NOT_FOUND, "None.")))
+    assert "; in half of the area 110 g/s (410 kg/h) or less." in said
+    assert "In 11% of the area no rate would have been seen." in said
 
 
 @pytest.mark.full
