@@ -1,5 +1,5 @@
 """The physics that all parts share: dispersion, problems, scenarios, draws, and how long a leg takes.
-Imports: plume.polygons.
+Imports: plume.polygons, plume.mistakes.
 """
 
 __version__ = "0.1.0"

@@ -16,6 +16,7 @@ from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
 from plume.elementary import Array
+from plume.mistakes.explained import dotted, explained
 from plume.parameters import LIMITS
 from plume.polygons.obstacles import Obstacles
 from plume.polygons.parts import area_of, held, octagon
@@ -56,9 +57,16 @@ STOP = re.compile(r"spread:[^,]+|within:[^,]+,[^,]+")  # the form of --stop; `es
 Coordinate = Annotated[
     float, Meta(ge=-FARTHEST_M, le=FARTHEST_M, description="a number from -100000 to 100000, m")
 ]
-Place = tuple[Coordinate, Coordinate]
+Place = Annotated[tuple[Coordinate, Coordinate], Meta(description="(x, y) m")]
 Degrees = Annotated[float, Meta(ge=-180, le=180, description="a number, degrees")]
-Corners = Annotated[tuple[Place, ...], Meta(min_length=3, max_length=MOST_CORNERS)]
+Corners = Annotated[
+    tuple[Place, ...],
+    Meta(
+        min_length=3,
+        max_length=MOST_CORNERS,
+        description=f"the corners of a polygon in order, (x, y) m, 3 to {MOST_CORNERS}",
+    ),
+]
 Number = Annotated[float, Meta(description="a number")]
 Span = Number | tuple[Number, Number]  # a value, or the least and the greatest of a uniform distribution
 
@@ -162,7 +170,7 @@ class PriorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """
 
     corners: Annotated[Corners | None, Meta(description="a polygon: its corners in order, (x, y) m")] = None
-    place: Annotated[Place | None, Meta(description="or a place, (x, y) m")] = None
+    place: Annotated[Place | None, Meta(description="a place, (x, y) m, instead of corners")] = None
     radius_m: Annotated[
         float, Meta(description="how far from the place it may be, a number above 0 up to 1000, m")
     ] = PLACE_RADIUS_M
@@ -404,7 +412,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             if not least <= low <= high <= most:
                 raise ValueError(
                     f"{name}: {_listed(getattr(self, name))} is not allowed; wanted a number, or the least "
-                    f"and the greatest, from {least:g} to {most:.12g}"
+                    f"and the greatest, from {least:.12g} to {most:.12g}"
                 )
         for name, place in (("start", self.start), ("prior", self.support)):
             if place is not None and not all(map(self.area.holds, _ends(place))):
@@ -551,10 +559,6 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 # The fields alone, of the right kinds; what their numbers may be is said by the checks of `Problem`.
 _Fields = msgspec.defstruct("_Fields", [*get_type_hints(Problem).items()])
-ABOUT = {
-    name: kind.__metadata__[0].description
-    for name, kind in get_type_hints(Problem, include_extras=True).items()
-}
 
 
 def _typed(problem: Problem) -> msgspec.Struct:
@@ -565,12 +569,8 @@ def _typed(problem: Problem) -> msgspec.Struct:
     try:
         return msgspec.convert({name: _plain(value) for name, value in fields.items()}, _Fields)
     except (msgspec.ValidationError, OverflowError) as error:
-        said, _, where = str(error).partition(" - at `$.")
-        where = where.strip("`")
-        if error.__cause__:  # a check of our own
-            raise ValueError(f"{where}: {said}") from None
-        field = re.split(r"[.\[]", where)[0]
-        raise ValueError(f"{where}: {fields[field]!r:.60} is not allowed; wanted {ABOUT[field]}") from None
+        where, said = explained(error, fields, Problem)
+        raise ValueError(f"{dotted(where)}: {said}") from None
 
 
 def _plain(value: Any, depth: int = 4) -> Any:

@@ -83,7 +83,7 @@ def test_a_script_of_old_says_the_same_as_before() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("problem: {step_m: 20}", "1: problem: step_m: 20.0 is not allowed; wanted above 0 up to 10 m"),
+        ("problem: {step_m: 20}", "1: problem.step_m: 20.0 is not allowed; wanted above 0 up to 10 m"),
         ("problem: {stepm: 2}", "1: problem.stepm: unknown field; did you mean 'step_m'"),
         ("agent: {step_m: 20}", "1: agent.step_m: 20.0 is not allowed; wanted above 0 up to 10 m"),
         (f"scenario: {{start: [90, 0]}}{FIELD}", r"1: scenario.start: \[90.0, 0.0\] is not allowed"),
