@@ -165,7 +165,8 @@ def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = Non
         for it in each.at().happenings
         if it.level in (WARNING, ERROR)
     )
-    warnings = [*{(it.utc_ns // NS, it.who, it.text): it for it in said}.values()]  # one a second
+    one_a_second = {(it.utc_ns // NS, it.who, it.text): it for it in said}.values()
+    warnings = sorted(one_a_second, key=lambda it: it.utc_ns)
     budget = recording.about.get("budget")
     return Flight(
         path=path,

@@ -260,16 +260,19 @@ def _believed(it: Ranged | None, unit: str) -> str:
 
 def _assumed(it: Findings) -> str:
     last, told = it.last, it.told
+    stopped = "met" if last.ceased else "not met"
+    if it.verdict.kind == OUTSIDE:
+        stopped = "the search stopped because the source is outside the area"
     numbers = calibration(told.sensor) if told.sensor else {}
     rows = [
         ("Sensor", f"{last.sensor}, readings in {it.unit}"),
         ("Calibration", "; ".join(f"{name} {value:.6g}" for name, value in numbers.items()) or "unknown"),
         ("Assumption", last.assume),
-        ("Stop", f"{last.stop}: {stop_text(last.stop)}; {'met' if last.ceased else 'not met'}"),
+        ("Stop", f"{last.stop}: {stop_text(last.stop)}; {stopped}"),
         (
             "Area",
             f"{it.area.text}, east by north of home; the source "
-            + (f"may be up to {told.margin_m:g} m beyond" if told.margin_m else "is in it"),
+            + (f"may be up to {significant(told.margin_m)} m beyond" if told.margin_m else "is in it"),
         ),
         ("False readings", f"{100 * told.spikes:g}% of the readings are taken to say nothing of the source"),
     ]

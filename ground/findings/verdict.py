@@ -30,7 +30,8 @@ def verdict(flight: Flight, told: Told) -> Judgement:
         to = problem_of(flight.about).area.beyond(last.mean)
         where = f", to the {to}" if to else ""
         sentence = f"The source is outside the search area{where} ({100 * last.outside:.0f}% of the belief)."
-        return Judgement(OUTSIDE, sentence, _doubts(flight, told))
+        doubts = _doubts(flight, told)
+        return Judgement(OUTSIDE, sentence + _but(doubts), doubts)
     if last.ceased:
         if reasons := _doubts(flight, told):
             return Judgement(
@@ -56,9 +57,13 @@ def verdict(flight: Flight, told: Told) -> Judgement:
     more = (
         f" The record {flight.remark}: what the search has found later is not in it." if flight.remark else ""
     )
-    return Judgement(
-        NOT_FOUND, f"No source was found in {flight.read_text}: {met}.{more}", _withheld(flight, narrow=False)
-    )
+    reasons = _withheld(flight, narrow=False)
+    but = _but(reasons[bool(flight.remark) :])  # the first is the record's, which `more` says
+    return Judgement(NOT_FOUND, f"No source was found in {flight.read_text}: {met}.{but}{more}", reasons)
+
+
+def _but(reasons: tuple[str, ...]) -> str:
+    return f" But {'; '.join(reasons)}." if reasons else ""
 
 
 def _doubts(flight: Flight, told: Told) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from ground.findings.exchange import cell, figures_csv, geojson, kml, readings_c
 from ground.findings.figures import Findings, as_json
 from ground.findings.flight import Remark, sha256_of
 from ground.findings.page import page
+from ground.findings.verdict import OUTSIDE, Judgement
 from link.bus.mavlink import Codec
 from link.record.reader import read
 from link.record.record import Entry
@@ -230,6 +231,12 @@ def test_where_nothing_was_found_no_document_calls_a_place_the_source(tmp_path: 
     rows = {row["figure"]: row["value"] for row in csv.DictReader(io.StringIO(figures_csv(it)))}
     share = np.isfinite(it.smallest.rates_gs).mean()
     assert float(rows["smallest rate, share of the area that has one"]) == pytest.approx(share)
+
+
+def test_a_stop_outside_is_not_told_as_that_of_the_criterion(found: Findings) -> None:
+    outside = replace(found, verdict=Judgement(OUTSIDE, "It is outside."), smallest=None)
+    assert "m; the search stopped because the source is outside the area<" in page(outside)
+    assert "m; met<" in page(found)
 
 
 # ---- records of all kinds ----

@@ -47,6 +47,9 @@ def test_a_belief_outside_the_area_is_outside_and_says_where_to() -> None:
     said = judged(outside=0.97, mean=(35.0, 12.0))
     assert said.kind == OUTSIDE
     assert "to the east (97% of the belief)" in said.sentence
+    doubtful = judged(outside=0.97, mean=(35.0, 12.0), sensor="tgs2620")
+    assert doubtful.kind == OUTSIDE
+    assert "But the sensor is a metal oxide" in doubtful.sentence
 
 
 def test_a_fleet_of_which_one_left_is_said_to_have_read_as_often_as_it_has() -> None:
@@ -75,6 +78,11 @@ def test_a_search_without_a_stop_found_nothing_and_says_whether_there_was_gas() 
     assert judged(ceased=False, spread=9.0, evidence=0.0).kind == NOT_FOUND
     assert "need no source" in judged(ceased=False, spread=9.0, evidence=0.0).sentence
     assert "hold gas of a source" in judged(ceased=False, spread=9.0, evidence=20.0).sentence
+    stuck = judged(ceased=False, spread=9.0, evidence=0.0, p_value=1e-6)
+    assert "But the last readings do not fit the model" in stuck.sentence
+    cut_off = judged(ceased=False, spread=9.0, evidence=0.0, p_value=1e-6, remark="is cut off")
+    assert cut_off.sentence.count("is cut off") == 1
+    assert "But the last readings do not fit the model" in cut_off.sentence
 
 
 def test_the_verdict_of_the_golden_record_is_told_in_a_sentence() -> None:
