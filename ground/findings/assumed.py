@@ -28,6 +28,8 @@ FIELD: Mapping[str, str] = {
 OF_GAS = "cv", "puff-rate", "puff-share"
 SPIKES: Mapping[str, float] = {"paper": 0.0, "field": 0.05}
 MARGIN: Mapping[str, float] = {"paper": 0.0, "field": 1 / 3}
+# What the estimator takes to be told where no flag tells it.
+USUAL: Mapping[str, str] = {"rate": "300", "lifetime": "10"}
 REPLACED = {"u": "wind-speed", "phi": "wind-direction"}
 # What each parameter is, in words, and its unit.
 WORDS: Mapping[str, tuple[str, str]] = {
@@ -107,7 +109,8 @@ def told_of(last: Belief, about: dict[str, Any]) -> Told:
     parts = about.get("parts")
     words = parts.get("estimator") if isinstance(parts, dict) else None
     flags = _flags(words if isinstance(words, list) else [])
-    single = {name: values[-1] for name, values in flags.items()}
+    usual = USUAL if flags else {}
+    single = {**usual, **{name: values[-1] for name, values in flags.items()}}
     problem = problem_of(about)
     margin = 0.0 if problem.prior else _number(single.get("margin"))
     if margin is None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from estimator import assumptions, belief
+from estimator.__main__ import main
 from estimator.assumptions import effective_priors
 from estimator.priors import text
 from ground.findings import assumed, verdict
@@ -26,6 +27,19 @@ def test_limits_and_shares_are_the_estimators() -> None:
     assert dict(assumed.SPIKES) == dict(assumptions.SPIKES)
     assert dict(assumed.MARGIN) == dict(assumptions.MARGIN)
     assert dict(assumed.REPLACED) == dict(assumptions.REPLACED)
+
+
+def test_without_a_flag_rate_and_lifetime_are_the_estimators_own(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(arguments=["--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    it = findings()
+    rows = {
+        row.name: row.words for row in told_of(it.last, {"parts": {"estimator": ["--sysid", "1"]}}).priors
+    }
+    for name, words in (("q", "release rate q, g/s"), ("tau", "lifetime τ of the gas, s")):
+        told = said.partition(f"{words} (default: ")[2].partition(")")[0]
+        assert f"median {told}," in rows[name]
 
 
 def test_every_parameter_has_words_and_a_unit() -> None:
