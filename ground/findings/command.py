@@ -23,10 +23,10 @@ def _bounds(text: str) -> tuple[float, float, float, float]:
         west, south, east, north = (float(part) for part in text.split(","))
     except ValueError:
         west = south = east = north = math.nan
-    if not (-180 <= west <= 180 and -180 <= east <= 180 and west < east and -90 <= south < north <= 90):
+    if not (-180 <= west <= 180 and west < east <= 360 + west and -90 <= south < north <= 90):
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not allowed; wanted WEST,SOUTH,EAST,NORTH in degrees, WEST below EAST and "
-            "SOUTH below NORTH"
+            f"{text!r} is not allowed; wanted WEST,SOUTH,EAST,NORTH in degrees, WEST below EAST, which may "
+            "be above 180, and SOUTH below NORTH"
         )
     return west, south, east, north
 

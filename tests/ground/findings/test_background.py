@@ -122,6 +122,15 @@ def test_a_geotiff_of_another_reference_system_is_refused_by_its_number(number: 
         placed(tiff)
 
 
+def test_an_image_across_the_antimeridian_lies_there(tmp_path: Path) -> None:
+    """Its eastern edge is given as above 180°."""
+    path = image(tmp_path / "site.png")
+    found = background(path, (0.0, -179.9999), (179.9999, 0.0, 180.0002, 0.0002), AREA)
+    a, _, c, *_ = found.to_plane
+    metre = 1 / math.radians(6_371_000.0)
+    assert (c, 40 * a + c) == pytest.approx((-0.0002 / metre, 0.0001 / metre), rel=1e-3)
+
+
 def test_an_image_that_does_not_meet_the_area_is_refused_in_a_line_that_says_where_each_lies(
     tmp_path: Path,
 ) -> None:

@@ -74,7 +74,9 @@ def test_bad_input_is_one_line(
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize("bounds", ["1,2,3", "9,47,8,48", "8,48,9,47", "a,b,c,d", "8,47,nan,48"])
+@pytest.mark.parametrize(
+    "bounds", ["1,2,3", "9,47,8,48", "179,1,-179,2", "9,47,370,48", "8,48,9,47", "a,b,c,d", "8,47,nan,48"]
+)
 def test_bounds_are_west_south_east_north(log: Path, bounds: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         written(str(log), "--background", "x.png", "--bounds", bounds)
