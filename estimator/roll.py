@@ -6,7 +6,7 @@ computed.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from time import monotonic as now_s
 
@@ -16,7 +16,7 @@ from msgspec import UNSET
 from estimator.admission import refusal
 from estimator.filter import Config
 from estimator.gathering import Gathering
-from link.bus.keys import DEPARTURE, HEALTH, JOIN, LATECOMER, LEAVE_OUT, OF_VEHICLE, READING
+from link.bus.keys import DEPARTURE, HEALTH, JOIN, LATECOMER, LEAVE_OUT, OF_VEHICLE, READING, Key
 from link.bus.mavlink import READING_KINDS, BadFrame, Reading, split, unpack_reading
 from link.bus.messages import Departure, Health, Join, Latecomer, LeaveOut, departure_text, latecomer_text
 from link.bus.session import Arrival, Bus, LivelinessChange, part_of
@@ -98,6 +98,13 @@ class Roll:
         self._attendance = Attendance(overdue_s)
         self._frames: list[list[bytes]] = [[] for _ in systems]  # of each vehicle's readings that count
         self._look_at_s, self._begin_at_s = 0.0, now_s() + LEARN_S
+        # Who says that somebody leaves or joins; each returns whether that changes who is waited for.
+        self._called: dict[Key, Callable[[Arrival], bool]] = {
+            DEPARTURE: self._hear,
+            LEAVE_OUT: self._leave_out,
+            LATECOMER: self._hear_late,
+            JOIN: self._join,
+        }
         self._told: set[int] = set()  # those whose readings after they left have been told of
         if self._several:
             bus.subscribe(DEPARTURE, LATECOMER, LEAVE_OUT, JOIN, HEALTH)
@@ -127,17 +134,8 @@ class Roll:
                         self._refuse(arrival.vehicle)
                     else:
                         return arrival
-                case Arrival(key) as arrival if key is DEPARTURE:
-                    if self._hear(arrival):
-                        return None
-                case Arrival(key) as arrival if key is LEAVE_OUT:
-                    if self._leave_out(arrival):
-                        return None
-                case Arrival(key) as arrival if key is LATECOMER:
-                    if self._hear_late(arrival):
-                        return None
-                case Arrival(key) as arrival if key is JOIN:
-                    if self._join(arrival):
+                case Arrival(key) as arrival if key in self._called:
+                    if self._called[key](arrival):
                         return None
                 case Arrival(key) as arrival if key is HEALTH:
                     if (vehicle := self._number(part_of(arrival.name))) and (

@@ -191,6 +191,11 @@ def _accepted(kind: Callable[[str], T], accepts: Callable[[T], bool], wanted: st
     return parse
 
 
+def file_ending(*endings: str) -> Callable[[str], Path]:
+    """Argument type: a file with one of these endings."""
+    return _accepted(Path, lambda path: path.suffix in endings, f"a file that ends in {listing(endings)}")
+
+
 def listed(
     parse: Callable[[str], Any], separate: Callable[[str], Sequence[str]] = lambda text: text.split(",")
 ) -> Callable[[str], list[Any]]:

@@ -4,7 +4,6 @@ import argparse
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,15 +15,6 @@ from scene.follow.history import History, histories_of, remark_on
 from scene.scene import Measurement, Scene
 
 MOST_STEPS = 1_000_000
-PICTURES = (".png", ".svg")
-
-
-def _file(endings: Sequence[str], text: str) -> Path:
-    if Path(text).suffix not in endings:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not allowed; wanted a file that ends in {cli.listing(endings)}"
-        )
-    return Path(text)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap written by a mission or `record`")
     parser.add_argument(
         "--out",
-        type=partial(_file, PICTURES),
+        type=cli.file_ending(".png", ".svg"),
         metavar="FILE",
         help="the picture, .png or .svg (default: LOG.png beside the log; none where only --gif or --mp4 is "
         "given)",
@@ -47,12 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--gif",
-        type=partial(_file, (".gif",)),
+        type=cli.file_ending(".gif"),
         metavar="FILE.gif",
         help="an animation, a frame for each reading",
     )
     parser.add_argument(
-        "--mp4", type=partial(_file, (".mp4",)), metavar="FILE.mp4", help="the same as a film; needs ffmpeg"
+        "--mp4", type=cli.file_ending(".mp4"), metavar="FILE.mp4", help="the same as a film; needs ffmpeg"
     )
     cli.add_output_guard(parser)
 

@@ -48,14 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="a .npy or .h5 movie, a folder of Zarr, or the folder of GADEN's iteration_0, iteration_1, …",
     )
-    parser.add_argument("-o", "--out", metavar="FILE.png", type=_picture, help="draw it, too")
+    parser.add_argument("-o", "--out", metavar="FILE.png", type=cli.file_ending(".png"), help="draw it, too")
     cli.add_output_guard(parser)
-
-
-def _picture(text: str) -> Path:
-    if Path(text).suffix != ".png":
-        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a file that ends in .png")
-    return Path(text)
 
 
 def run(args: argparse.Namespace) -> int:

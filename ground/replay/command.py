@@ -20,7 +20,6 @@ from ground.replay.player import Player, replay
 from ground.replay.source import Source, find
 from ground.replay.verify import Rules
 from link import cli
-from link.files import drop_if_empty
 from link.record.reader import Recording, read
 from link.terminal import tell
 from plume import __version__
@@ -29,7 +28,7 @@ from plume.parameters import LIMITS, MOST
 from plume.randomness import MAX_SEED
 from plume.sensors import names as sensor
 from sitl.launch.processes import MissionFailed
-from sitl.launch.recording import RecordFiles, record_file
+from sitl.launch.recording import RecordFiles, give_up
 
 
 def _pair(names: str, text: str) -> tuple[float, float]:
@@ -119,7 +118,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--record",
-        type=record_file,
+        type=cli.file_ending(".mcap"),
         metavar="FILE.mcap",
         help="tlog, csv: record the replay, with the beliefs, as a mission's record",
     )
@@ -221,6 +220,7 @@ def run(args: argparse.Namespace) -> int:
     files = RecordFiles(args.record) if args.record else None
     if files:
         files.prepare(args.force)
+        files.made = True  # as soon as its recorder runs
     if args.findings:
         if source.recorded:
             raise cli.BadInput(
@@ -243,14 +243,13 @@ def run(args: argparse.Namespace) -> int:
                 break
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        _give_up(files, args.findings)
+        give_up(files, args.findings)
         raise
     except MissionFailed as failure:
         print(f"error: {failure}", file=sys.stderr)
-        _give_up(files, args.findings)
+        give_up(files, args.findings)
         return failure.status
     if files:
-        files.made = True
         if trouble := files.take_place():
             tell(f"warning: {trouble}", sys.stderr)
         files.tell(sys.stderr if args.json else sys.stdout)
@@ -259,15 +258,6 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(_json(result, source, rules))
     return cli.FAILED if result.difference or source.damaged else 0
-
-
-def _give_up(files: RecordFiles | None, findings: Path | None) -> None:
-    """Say where the record of a replay is that did not come to its end; no findings are made of it."""
-    if findings:
-        drop_if_empty(findings)
-    if files:
-        files.made = True
-        files.give_up(refused=False)
 
 
 def _write_findings(result: Player, source: Source, args: argparse.Namespace) -> None:

@@ -43,7 +43,10 @@ class RosNode(Bus):
         self._numbers: dict[Topic, int] = {}  # of the entities in the session; the node is 0
         self._shown = self._session
         self.others: set[str] = set()  # the sessions that publish what is watched, ours perhaps among them
-        self._hold("node", self._show_node)
+        self._hold(
+            "node",
+            lambda session: session.liveliness().declare_token(rmw.node_token(node, str(session.zid()))),
+        )
         for topic in published:
             self.offer(topic)
         for topic in commands:
@@ -61,7 +64,7 @@ class RosNode(Bus):
         self._number(topic)
         self._kept.pop(topic, None)
         self._counts[topic] = 0
-        self._hold(topic.name, partial(self._declare_topic, topic))
+        self._hold(topic.name, lambda session: rmw.declare_publisher(session, self.key_of(topic), topic.qos))
         self._hold(f"token {topic.name}", partial(self._show, topic, PUBLISHER))
 
     def offers(self, topic: Topic) -> bool:
@@ -114,9 +117,6 @@ class RosNode(Bus):
     def _number(self, topic: Topic) -> None:
         self._numbers.setdefault(topic, len(self._numbers) + 1)
 
-    def _show_node(self, session: zenoh.Session) -> Any:
-        return session.liveliness().declare_token(rmw.node_token(self._node, str(session.zid())))
-
     def _show(self, topic: Topic, entity: str, session: zenoh.Session) -> Any:
         """Declare the token of a publisher or a subscription."""
         token = rmw.topic_token(
@@ -131,9 +131,6 @@ class RosNode(Bus):
         )
         self._gids[topic] = rmw.gid(token)
         return session.liveliness().declare_token(token)
-
-    def _declare_topic(self, topic: Topic, session: zenoh.Session) -> Any:
-        return rmw.declare_publisher(session, self.key_of(topic), topic.qos)
 
     def _listen(self, topic: Topic, session: zenoh.Session) -> Any:
         def received(sample: zenoh.Sample) -> None:

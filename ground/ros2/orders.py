@@ -49,7 +49,6 @@ class Lead:
         self._state = ""
         self._watched = False  # whether the search was seen to lead: nobody had taken the vehicle until then
         self._taken = NOBODY  # who has taken it since
-        self._texts = Texts()
 
     def is_in(self, state: str) -> None:
         """Take the state that the vehicle's health says."""
@@ -59,12 +58,11 @@ class Lead:
                 self._taken = NOBODY
         self._state = state
 
-    def hears(self, fields: dict[str, Any]) -> None:
-        """Take a STATUSTEXT of the vehicle or its search."""
-        text = self._texts.joined(fields["text"], fields["id"], fields["chunk_seq"])
-        if text and text.startswith(GIVEN_BACK):
+    def hears(self, text: str) -> None:
+        """Take a text of the vehicle or its search."""
+        if text.startswith(GIVEN_BACK):
             self._taken = NOBODY
-        elif text and TAKEN.fullmatch(text):
+        elif TAKEN.fullmatch(text):
             self._taken = US if text.endswith(BY_US) else OTHERS
 
     def obeyed(self) -> None:
@@ -105,16 +103,16 @@ class RosOrders:
                     if not (history.own.sent(frame) or history.own.searched(frame)):
                         continue
                     if frame.message_id == TEXT:
-                        self._lead.hears(fields)
-                        self._hears_reason(fields)
+                        self._hears_text(fields)
                     elif self._run and (frame.system, frame.component) == self._asked and _to_us(fields):
                         self._run.acknowledged(fields["command"], fields["result"], now_s)
 
-    def _hears_reason(self, fields: dict[str, Any]) -> None:
-        """The text that follows a refusal has its reason."""
-        text = self._texts.joined(fields["text"], fields["id"], fields["chunk_seq"])
-        if text and self._run and self._run.refused:
-            self._reason = text
+    def _hears_text(self, fields: dict[str, Any]) -> None:
+        """Take a STATUSTEXT. The one that follows a refusal has its reason."""
+        if text := self._texts.joined(fields["text"], fields["id"], fields["chunk_seq"]):
+            self._lead.hears(text)
+            if self._run and self._run.refused:
+                self._reason = text
 
     def take(self, topic: Topic, data: bytes, attached: bytes, history: History) -> None:
         """Take a message of a command's topic. One that is not obeyed is counted and told."""
@@ -128,16 +126,12 @@ class RosOrders:
                 raise Refusal(reason)
             if topic is not ABORT and len(self._times_s) == MOST and now_s - self._times_s[0] < WITHIN_S:
                 raise Refusal(f"more than {MOST} commands within {WITHIN_S:g} s")
-        except BadMessage as error:
-            self._refuse(topic.name, str(error), MALFORMED)
-            return
-        except Refusal as error:
-            self._refuse(topic.name, str(error), REFUSED)
+        except (BadMessage, Refusal) as error:
+            self._refuse(topic.name, str(error), REFUSED if isinstance(error, Refusal) else MALFORMED)
             return
         self._times_s.append(now_s)
         self._what, self._reason, self._asked = what, "", (history.own.system, component)
-        run = CommandRun(command, lambda: run.accepted, lambda: self._reason, AGAIN_S)
-        self._run = run
+        self._run = run = CommandRun(command, lambda: run.accepted, lambda: self._reason, AGAIN_S)
         self._bus.log.info(f"ROS asks: {what}")
         self.go_on(now_s)
 
@@ -172,7 +166,7 @@ class RosOrders:
         return word, component, order(word, system, component)
 
     def _goal(self, message: Any, history: History, system: int) -> tuple[str, int, Message]:
-        own = f"{_frame_of(history)}/map"
+        own = f"{ros_namespace(history.backdrop.vehicle).removeprefix('/')}/map"
         place, frame = message.pose.position, message.header.frame_id
         if frame.removeprefix("/") not in ("", own):
             raise Refusal(f"its frame is {frame[:100]!r}; wanted {own}, or none")
@@ -201,10 +195,6 @@ class RosOrders:
             altitude_m,
         )
         return f"go to ({place.x:.2f}, {place.y:.2f}) m, {up_m:.2f} m up", AUTOPILOT, go_to
-
-
-def _frame_of(history: History) -> str:
-    return ros_namespace(history.backdrop.vehicle).removeprefix("/")
 
 
 def _to_us(fields: dict[str, Any]) -> bool:

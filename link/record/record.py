@@ -133,6 +133,16 @@ def _time_boot_ms(
     return next((int.from_bytes(frame.payload[:4], "little") for frame in ours), None)
 
 
+def _answered_ms(key: str, payload: bytes) -> int | None:
+    """Return the time_boot_ms of the reading that a belief, stop or waypoint answers; None of all else."""
+    if key == WAYPOINT.name:
+        return _time_boot_ms(payload, ANSWER_TIME)
+    if key in (BELIEF.name, STOP.name):
+        with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return msgspec.json.decode(payload, type=_Timed).time_boot_ms
+    return None
+
+
 # Most readings remembered: repeated and answered ones are among the last few.
 MOST_READINGS = 4096
 
@@ -172,13 +182,9 @@ class SimulationClock:
             return clock.time_s(key, payload, published_ns) + clock._late_s
         own: int | None = None
         self._own.learn(key, payload)
-        if key in (BELIEF.name, STOP.name):
-            with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-                answered = msgspec.json.decode(payload, type=_Timed).time_boot_ms
-                own = self._readings.get(answered, answered)
-        elif key == WAYPOINT.name:
-            if (answered_ms := _time_boot_ms(payload, ANSWER_TIME)) is not None:
-                own = self._readings.get(answered_ms)  # it may answer none
+        if (answered := _answered_ms(key, payload)) is not None:
+            # A waypoint may answer no reading.
+            own = self._readings.get(answered, None if key == WAYPOINT.name else answered)
         elif (boot_ms := self._boot_ms(key, payload)) is not None:
             own = continued(self._newest_ms, boot_ms)
             if key == READING.name:
@@ -216,16 +222,12 @@ class SimulationClock:
         order = sorted(self._of, key=int, reverse=key != WAYPOINT.name)
         if not (self._left or self._late):
             return order[0]
-        answered: int | None = None
-        if key == WAYPOINT.name:
-            answered = _time_boot_ms(payload, ANSWER_TIME)
-        elif key in (BELIEF.name, STOP.name):
-            with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-                answered = msgspec.json.decode(payload, type=_Timed).time_boot_ms
+        answered = _answered_ms(key, payload)
         return next((number for number in order if answered in self._of[number]._readings), order[0])
 
     def _boot_ms(self, key: str, payload: bytes) -> int | None:
-        if key not in FRAME_KEYS or key == MAVLINK_IN.name:  # a ground station has times of its own
+        # A ground station has times of its own, a waypoint that of the reading it answers.
+        if key not in FRAME_KEYS or key in (MAVLINK_IN.name, WAYPOINT.name):
             return None
         return _time_boot_ms(
             payload, OWN_TIME, lambda frame: key != MAVLINK_OUT.name or self._own.sent(frame)

@@ -3,6 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from threading import RLock
 from typing import Generic, Protocol, TypeVar
 
@@ -96,6 +97,16 @@ def between(coordinates: Array, count: int) -> tuple[Indices, Indices, Array, ND
 def blend(one: Array, other: Array, share: Array) -> Array:
     """Return what lies between two values, linearly, `share` of the way to the other."""
     return one * (1.0 - share) + other * share
+
+
+def content_of(path: Path, most: int = MOST_BYTES) -> bytes:
+    """Return the content of a file of at most so many bytes. Raises ValueError."""
+    try:
+        if (size := path.stat().st_size) > most:
+            raise ValueError(f"{path}: {size:,} bytes; wanted at most {most:,}")
+        return path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}") from None
 
 
 def one_line(error: Exception) -> str:

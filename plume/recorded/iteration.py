@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.elementary import Array
-from plume.recorded.footage import MOST_BYTES
+from plume.recorded.footage import MOST_BYTES, content_of
 
 SHAPES = {"point": "", "box": "3f", "line": "3f", "sphere": "f", "cylinder": "2f"}  # and their sizes
 GASES = (
@@ -115,15 +115,9 @@ class _Cursor:
 
 def inflated(path: Path) -> bytes:
     """Return the content of a file that is one zlib stream. Raises ValueError."""
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ValueError(f"{path}: {path.stat().st_size:,} bytes; wanted at most {MOST_BYTES:,}")
-        data = path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}") from None
     stream = zlib.decompressobj()
     try:
-        content = stream.decompress(data, MOST_BYTES)
+        content = stream.decompress(content_of(path), MOST_BYTES)
     except zlib.error as error:
         raise ValueError(f"{path}: {str(error)[:100]}; wanted one zlib stream") from None
     if stream.unconsumed_tail:

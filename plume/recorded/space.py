@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from plume.recorded.footage import MOST_BYTES
+from plume.recorded.footage import content_of
 from plume.recorded.iteration import Grid, checked
 
 HEAD = (("#env_min(m)", 3), ("#env_max(m)", 3), ("#num_cells", 3), ("#cell_size(m)", 1))
@@ -21,12 +21,7 @@ def occupancy(path: Path) -> tuple[Grid, Cells]:
     Four lines of a head; then for each layer, from the lowest, a line for each x with a number for each y,
     and a line with `;`.
     """
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ValueError(f"{path}: {path.stat().st_size:,} bytes; wanted at most {MOST_BYTES:,}")
-        lines = path.read_text("ascii", "replace").splitlines()
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}") from None
+    lines = content_of(path).decode("ascii", "replace").splitlines()
     numbers: list[list[float]] = []
     for number, (name, count) in enumerate(HEAD):
         words = lines[number].split() if number < len(lines) else []

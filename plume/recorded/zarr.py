@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import zstandard
 
-from plume.recorded.footage import MOST_BYTES, one_line
+from plume.recorded.footage import MOST_BYTES, content_of, one_line
 from plume.recorded.movies import Movie, PixelGrid, Pixels, checked
 
 NAME = "concentration"
@@ -208,10 +208,6 @@ def _pair(file: Path, name: str, value: Pair) -> tuple[float, float]:
 def _read(path: Path, kind: type[Any]) -> Any:
     """Return what a JSON file says. Raises ValueError."""
     try:
-        if path.stat().st_size > LONGEST:
-            raise ValueError(f"{path}: {path.stat().st_size:,} bytes; wanted at most {LONGEST:,}")
-        return msgspec.json.decode(path.read_bytes(), type=kind)
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}") from None
+        return msgspec.json.decode(content_of(path, LONGEST), type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: {one_line(error)}") from None

@@ -13,7 +13,6 @@ import msgspec
 from aircraft.payload.options import SIMULATED, add_payload_argument
 from aircraft.search.options import add_vehicle_url
 from link import cli
-from link.files import drop_if_empty
 from plume.outcome import outcome_text
 from plume.problem import Problem
 from plume.problems.options import add_fleet_arguments
@@ -23,7 +22,7 @@ from sitl.launch.processes import MissionFailed
 from sitl.launch.recording import (
     RecordFiles,
     check_findings,
-    record_file,
+    give_up,
     run_name,
     write_findings,
     write_summary,
@@ -95,7 +94,7 @@ def add_arguments(
     )
     parser.add_argument(
         "--record",
-        type=record_file,
+        type=cli.file_ending(".mcap"),
         metavar="FILE.mcap",
         help="the record's file; a .tlog is written beside it (default: in runs/)",
     )
@@ -142,12 +141,12 @@ def run(args: argparse.Namespace) -> int:
         flown = fly(_launch(args, script, files.path if files else None), files, page)
     except KeyboardInterrupt:
         page.end()
-        _give_up(files, args.findings, refused=False)
+        give_up(files, args.findings)
         print("interrupted", file=sys.stderr)
         raise
     except MissionFailed as failure:
         refused = failure.status == cli.BAD_INPUT
-        _give_up(files, args.findings, refused=refused)
+        give_up(files, args.findings, refused=refused)
         print(f"error: {_refusal(args, str(failure)) if refused else failure}", file=sys.stderr)
         page.linger()
         return failure.status
@@ -159,14 +158,6 @@ def run(args: argparse.Namespace) -> int:
         print(flown.json(with_trace=args.trace), flush=True)
     page.linger()
     return 0 if written and all(flown.expectations.values()) else cli.FAILED
-
-
-def _give_up(files: RecordFiles | None, findings: Path | None, *, refused: bool) -> None:
-    """Say where the record is of a mission that did not come to its end; no findings are made of it."""
-    if findings:
-        drop_if_empty(findings)
-    if files:
-        files.give_up(refused=refused)
 
 
 def _checked_script(args: argparse.Namespace) -> Script:

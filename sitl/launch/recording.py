@@ -1,6 +1,5 @@
 """The files of a mission: its record, which may replace an older one, and the summary of its outcome."""
 
-import argparse
 import json
 import os
 import subprocess
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from link import cli
-from link.files import is_claimed
+from link.files import drop_if_empty, is_claimed
 from plume import __version__
 
 
@@ -72,12 +71,12 @@ class RecordFiles:
         self.tell(sys.stderr)
 
 
-def record_file(text: str) -> Path:
-    """Argument type: the file of a record."""
-    path = Path(text)
-    if path.suffix != ".mcap":
-        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a file that ends in .mcap")
-    return path
+def give_up(files: RecordFiles | None, findings: Path | None, *, refused: bool = False) -> None:
+    """Say where the record is of a mission that did not come to its end; no findings are made of it."""
+    if findings:
+        drop_if_empty(findings)
+    if files:
+        files.give_up(refused=refused)
 
 
 def both(path: Path) -> tuple[Path, Path]:
