@@ -173,16 +173,13 @@ def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> i
             return int(_module(args.command).run(args))
         (_rollout if args.command == "rollout" else _serve)(args)
     except cli.BadInput as error:
-        print(f"error: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
+        return cli.failed(error, cli.BAD_INPUT)
     except (PolicyError, WorldError) as error:
         if error.__cause__:
             traceback.print_exception(error.__cause__)
-        print(f"error: {error}", file=sys.stderr)
-        return cli.FAILED
+        return cli.failed(error)
     except BrokenExecutor as error:  # of `train`, which judges by a sweep
-        print(f"error: {error}. Run the command again: it resumes", file=sys.stderr)
-        return cli.FAILED
+        return cli.failed(f"{error}. Run the command again: it resumes")
     return None
 
 

@@ -45,10 +45,11 @@ from agent.facts import (
     Y,
     site_of,
 )
+from agent.scale_free import BOUND, COSINES, FEW, HEADINGS, SECTORS, SINES, sector_of
 from link.bus.messages import Belief, Particles
 from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.elementary import Array, Indices, direction
+from plume.elementary import Array, Indices
 from plume.numerics import exp, log, log1p, total_of
 from plume.problem import PAPER, Problem
 from plume.sensors.names import GAUSSIAN
@@ -58,23 +59,15 @@ Observation = NDArray[np.float32]
 # 1, in `polar-2` the length of a move, m.
 Frame = Array
 
-SECTORS = 16
 RINGS_M = np.array([1.5, 3.0, 5.0, 8.0, 11.5, 15.5, 20.0])  # radii between the rings, m
 CELLS = SECTORS * (len(RINGS_M) + 1)
 AHEAD_M = np.array([2.0, 5.0])
-HEADINGS = 16
 OUTSIDE = 0.05  # factor on the weights of particles outside the square in which sources are drawn
-FEW = 128  # number of particles for the information gains, drawn by systematic resampling
 NUMBERS = 24  # numbers of a polar observation after the cells and the headings
 POLAR_SIZE = CELLS + HEADINGS * len(AHEAD_M) + NUMBERS
 PAPER_SIZE = 5
-# Numbers computed from FACTS are clipped to ±BOUND; only worlds unlike any in training exceed it.
-BOUND = 10.0
-
 STEEPNESS = GAUSSIAN.sensor_noise / GAUSSIAN.environment_noise  # α/β
 INVERSE_NOISE_SQUARED = 1 / (GAUSSIAN.sensor_noise * GAUSSIAN.sensor_noise)  # 1/α²
-TANGENTS = np.divide(*reversed(direction(np.array([1, 3, 5, 7]) / 32)))
-COSINES, SINES = direction(np.arange(HEADINGS) / HEADINGS)
 
 
 @subroutine
@@ -132,14 +125,7 @@ def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
         ring = 0
         for edge in squares:
             ring += square > edge
-        # Finds the sector without an arc tangent: first within a quadrant, then the quadrant.
-        wide, high = abs(along), abs(across)
-        sector = 0
-        for tangent in TANGENTS:
-            sector += high > tangent * wide
-        sector = sector if along >= 0 else SECTORS // 2 - sector
-        sector = sector if across >= 0 else (SECTORS - sector) % SECTORS
-        mass[ring * SECTORS + sector] += weights[i]
+        mass[ring * SECTORS + sector_of(along, across)] += weights[i]
     for cell in range(CELLS):
         result[cell] = 2 * math.sqrt(mass[cell])
 

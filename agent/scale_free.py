@@ -34,6 +34,7 @@ FEW = 128  # number of particles for the information gains, drawn by systematic 
 NUMBERS = 18
 GAINS = CELLS + HEADINGS * len(AHEAD)
 SIZE = GAINS + 2 * HEADINGS + NUMBERS
+# Numbers computed from FACTS are clipped to ±BOUND; only worlds unlike any in training exceed it.
 BOUND = 10.0
 # As of `Reach.fitted`: parts of the area's side.
 FINE, FINEST = 1 / 30, 1 / 300
@@ -45,7 +46,7 @@ TO_Q, TO_D, TO_TAU, TO_DIRECTION, TO_SPEED, TO_NOISE, TO_CV = range(7)  # `agent
 
 
 @subroutine
-def _sector(along: float, across: float) -> int:
+def sector_of(along: float, across: float) -> int:
     """Return the sector of a place, found without an arc tangent: within a quadrant, then the quadrant."""
     wide, high = abs(along), abs(across)
     sector = 0
@@ -100,7 +101,7 @@ def _see(
         ring = 0
         for edge in RINGS:
             ring += square > edge * edge
-        mass[ring * SECTORS + _sector(along, across)] += weight
+        mass[ring * SECTORS + sector_of(along, across)] += weight
     for cell in range(CELLS):
         result[cell] = 2 * math.sqrt(mass[cell] / total)
 

@@ -33,8 +33,7 @@ def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[s
             "absurd",
             f"altitude {reading.altitude_m:g} m is absurd; allowed is from {-HIGHEST_M:g} to {HIGHEST_M:g} m",
         )
-    absurd = _noisiest(config).refusal(reading.gas, greatest_concentration(config))
-    if absurd:
+    if absurd := _noisiest(config).refusal(reading.gas, greatest_concentration(config)):
         return "absurd", absurd
     if latest is None or (later := elapsed_ms(latest.time_boot_ms, reading.time_boot_ms)) > 0:
         return None

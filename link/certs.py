@@ -55,8 +55,7 @@ def run(args: argparse.Namespace) -> int:
     """Make what is missing and list what there is."""
     if args.search and (highest := max(args.vehicles)) > MOST_IN_A_SEARCH:
         wanted = f"wanted whole numbers from 1 to {MOST_IN_A_SEARCH}"
-        print(f"error: --vehicles: {highest} is not allowed with --search; {wanted}", file=sys.stderr)
-        return cli.BAD_INPUT
+        return cli.failed(f"--vehicles: {highest} is not allowed with --search; {wanted}", cli.BAD_INPUT)
     try:
         made = make(args.folder, args.vehicles, args.router, args.days, search=args.search, force=args.force)
     except (AccessError, OSError) as error:
@@ -65,8 +64,7 @@ def run(args: argparse.Namespace) -> int:
             if isinstance(error, OSError)
             else error
         )
-        print(f"error: DIR: {told}", file=sys.stderr)
-        return cli.BAD_INPUT
+        return cli.failed(f"DIR: {told}", cli.BAD_INPUT)
     for risk in risks(args.folder):
         print(f"warning: DIR: {risk}", file=sys.stderr)
     print("\n".join(_summary(args.folder, made)))

@@ -127,8 +127,13 @@ def start(prog: str, command: Command, words: Sequence[str]) -> int:
     try:
         return int(module.run(parser.parse_given(words)))
     except BadInput as error:
-        print(f"error: {error}", file=sys.stderr)
-        return BAD_INPUT
+        return failed(error, BAD_INPUT)
+
+
+def failed(why: object, status: int = FAILED) -> int:
+    """Say in one line on stderr why a command has failed; return its exit status."""
+    print(f"error: {why}", file=sys.stderr)
+    return status
 
 
 def listing(names: Sequence[str]) -> str:
@@ -474,17 +479,14 @@ def _status(command: Callable[[], int | None]) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except _refusals() as error:
-        print(f"error: {error}", file=sys.stderr)
-        return BAD_INPUT
+        return failed(error, BAD_INPUT)
     except OSError as error:
         if error.errno == errno.EMFILE:
             most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-            print(
-                f"error: {error.strerror}: wanted more than the {most} that may be open at a time (set it "
-                "with: ulimit -n 1024)",
-                file=sys.stderr,
+            return failed(
+                f"{error.strerror}: wanted more than the {most} that may be open at a time (set it "
+                "with: ulimit -n 1024)"
             )
-            return FAILED
         return _lost_output(error)
 
 

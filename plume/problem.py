@@ -382,8 +382,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
                 f"home: {_listed(self.home)} is not allowed; wanted latitude, -90 to 90, and longitude, "
                 "-180 to 180"
             )
-        width_m = min(self.area.size_m)
-        if not width_m >= SHORTEST_M:
+        if not min(self.area.size_m) >= SHORTEST_M:
             raise ValueError(
                 f"area: {self.area.text} is not allowed; wanted sides of at least {SHORTEST_M:g} m"
             )

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from agent.learn.missions import Missions
 from agent.learn.problems import SETS, Draw
 from agent.learn.render import RENDERING, Onlooker, Pixels
-from agent.observation import BOUND, SCHEMAS, Observation
+from agent.observation import SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
+from agent.scale_free import BOUND
 from estimator.assumptions import ASSUMPTIONS
 from estimator.criterion import Criterion, chosen
 from link.cli import PARTICLES

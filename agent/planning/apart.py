@@ -93,8 +93,3 @@ class Shared(Reach):
         """Return where those who have chosen will be so many steps on, if they go straight on: (F, 2) m."""
         start, end = self.chosen[:, 0], self.chosen[:, 1]
         return self.area.clipped(start + steps * (end - start))
-
-    @property
-    def others(self) -> Array:
-        """The other vehicles' places, next ones where they are chosen: (F + W, 2) m."""
-        return np.concatenate([self.chosen[:, 1], self.waiting])

@@ -210,8 +210,7 @@ def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
     except (WorkerLost, OSError) as error:
         if isinstance(error, OSError) and error.errno == errno.EMFILE:
             raise
-        print(f"error: {error}; {saved()}", file=sys.stderr)
-        return cli.FAILED
+        return cli.failed(f"{error}; {saved()}")
     if args.missions and len(complete(sweep, there)) < sweep.count:  # a file that has all stays as it is
         try:
             write_csv([*filterfalse(answers(sweep), there), *rows], args.missions)

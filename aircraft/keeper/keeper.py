@@ -23,6 +23,7 @@ from aircraft.bridge.endpoints import endpoint_of
 from aircraft.bridge.links import TICK_S, Channel, Hub, Traffic
 from aircraft.bridge.pipe import Pipe
 from aircraft.firmware import ARDUCOPTER, COMING_DOWN, FIRMWARES, stands, unfit
+from aircraft.operator import AUTOPILOT, command
 from link.bus.frames import Frame
 from link.bus.log import Log
 from link.bus.mavlink import ONBOARD_COMPUTER, Message, message_of
@@ -44,7 +45,6 @@ WAITING_BYTES = 16384
 # System id of the keeper's own words to the uav. No vehicle has it, and a frame with it from outside is not
 # handed on.
 OWN = 0
-AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 WARNING, CRITICAL, INFO = (
     mavlink.MAV_SEVERITY_WARNING,
     mavlink.MAV_SEVERITY_CRITICAL,
@@ -194,21 +194,14 @@ class Keeper:
             self._say(CRITICAL, f"The keeper {what}: {self.acted}")
             self._hangs()  # after our own line: its stacks are written piece by piece, on the same stderr
         if on_ground:  # which is refused in flight
-            self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+            self._send(command(self.system, mavlink.MAV_CMD_COMPONENT_ARM_DISARM))
         else:
             self._ask_for(Mode.RETURN)
 
     def _ask_for(self, mode: Mode) -> None:
         number = self._firmware.modes[mode]
         self._asked = frozenset({number})
-        self._command(mavlink.MAV_CMD_DO_SET_MODE, *self._firmware.params(number))
-
-    def _command(self, number: int, *params: float) -> None:
-        self._send(
-            mavlink.MAVLink_command_long_message(
-                self.system, AUTOPILOT, number, 0, *params, *[0.0] * (7 - len(params))
-            )
-        )
+        self._send(command(self.system, mavlink.MAV_CMD_DO_SET_MODE, *self._firmware.params(number)))
 
     @property
     def _is_in_charge(self) -> bool:

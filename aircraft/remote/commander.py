@@ -95,9 +95,7 @@ class Commander:
         system, kind = message.get_srcSystem(), message.get_type()
         if message.get_srcComponent() != AUTOPILOT or system != (self.system or self.wanted or system):
             return
-        if kind == "HEARTBEAT" and not self._is_the_vehicles(message, system):
-            return
-        if not self.system:
+        if (kind == "HEARTBEAT" and not self._is_the_vehicles(message, system)) or not self.system:
             return
         if kind == "COMMAND_ACK" and self._running and _is_ours(message, system):
             self._running.acknowledged(message.command, message.result, self.now_s)

@@ -31,7 +31,7 @@ from aircraft.state import UNSUPPORTED, Result, denied
 from aircraft.words import Words
 from link.bus.frames import Frame, FrameStream, fields_of
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
-from link.bus.mavlink import Codec, Message, gas_message
+from link.bus.mavlink import Codec, Message, gas_message, message_of
 from link.bus.session import Arrival, Bus
 from link.signing.signer import Signing
 
@@ -167,7 +167,7 @@ class RealClients:
         elif target_system and target_component == SEARCH:
             if frame.message_id in COMMAND_IDS:
                 with contextlib.suppress(mavlink.MAVError):
-                    self._obey(mavlink.MAVLink(None).decode(bytearray(frame.data)), whence)
+                    self._obey(message_of(frame), whence)
         elif frame.message_id in SETPOINT_IDS and self._search.leads:
             self.refuse(
                 denied("Setpoint refused: the search leads, HOLD stops it", "not leading"),

@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -100,8 +99,7 @@ def fly(args: argparse.Namespace, orders: Orders, make: Make) -> int:
         try:
             uav.run()
         except VehicleFailed as failure:
-            print(f"error: {failure}", file=sys.stderr)
-            return cli.FAILED
+            return cli.failed(failure)
     return 0
 
 

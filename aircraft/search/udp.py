@@ -9,7 +9,7 @@ from aircraft.bridge.address import parse_address
 from aircraft.bridge.endpoints import endpoint_of
 from aircraft.bridge.links import Endpoint, Hub
 from link.bus.log import Log
-from link.bus.mavlink import Codec, Message
+from link.bus.mavlink import Codec, Message, message_of
 from link.signing.signer import Signing
 
 
@@ -47,7 +47,6 @@ class UdpPorts(Hub):
             endpoint = endpoint_of(parse_address(url), self)
             self.open(endpoint, signing)
             self.ports.append(UdpPort(endpoint, Codec(system, component)))
-        self._parser = mavlink.MAVLink(None)
 
     def receive(self) -> list[tuple[UdpPort, Message, str]]:
         """Return the messages that have come, each with its port and its sender's HOST:PORT."""
@@ -55,5 +54,5 @@ class UdpPorts(Hub):
         for link, frame in self.take():
             port = next(port for port in self.ports if port.endpoint.traffic is link.traffic)
             with contextlib.suppress(mavlink.MAVError):  # a message type that the vehicle does not speak
-                heard.append((port, self._parser.decode(bytearray(frame.data)), link.who))
+                heard.append((port, message_of(frame), link.who))
         return heard

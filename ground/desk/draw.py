@@ -50,14 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Draw the log; returns the exit status: 1 if pieces of the log are missing. Raises BadInput."""
     if find_spec("matplotlib") is None:
-        print("error: draw needs matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
-        return cli.FAILED
+        return cli.failed("draw needs matplotlib: pip install 'plumeward[view]'")
     if args.mp4 and shutil.which("ffmpeg") is None:
-        print(
-            "error: --mp4 needs the program ffmpeg, which is not installed; --gif needs nothing more",
-            file=sys.stderr,
-        )
-        return cli.FAILED
+        return cli.failed("--mp4 needs the program ffmpeg, which is not installed; --gif needs nothing more")
     if args.out is None and not (args.gif or args.mp4):
         args.out = args.log.with_suffix(".png")
     flags = (("--out", args.out), ("--gif", args.gif), ("--mp4", args.mp4))

@@ -1,7 +1,6 @@
 """`plumeward leave-out K`: an order to let a vehicle leave a search of several, or to begin without it."""
 
 import argparse
-import sys
 import time
 
 from link import cli
@@ -44,8 +43,7 @@ def run(args: argparse.Namespace) -> int:
     ) as bus:
         there = bus.services()
         if "estimator" not in there:
-            print(f"error: no estimator on {printable(args.namespace)}", file=sys.stderr)
-            return cli.FAILED
+            return cli.failed(f"no estimator on {printable(args.namespace)}")
         known = sorted(part for part in there if part.startswith(OF_VEHICLE))
         if args.late and f"{OF_VEHICLE}{args.vehicle}" in known:
             raise cli.BadInput(f"--late: uav/{args.vehicle} is there; wanted one that has not come")
@@ -60,11 +58,7 @@ def run(args: argparse.Namespace) -> int:
             if answer := _answer(bus, bus.receive(left_s), args.vehicle):
                 print(answer)
                 return 0
-    print(
-        f"error: the estimator has not obeyed within {ANSWER_S:g} s; its log says why",
-        file=sys.stderr,
-    )
-    return cli.FAILED
+    return cli.failed(f"the estimator has not obeyed within {ANSWER_S:g} s; its log says why")
 
 
 def _answer(bus: Bus, item: object, vehicle: int) -> str:

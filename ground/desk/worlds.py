@@ -3,7 +3,6 @@
 import argparse
 import math
 import shlex
-import sys
 import textwrap
 from importlib.util import find_spec
 from pathlib import Path
@@ -55,8 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print what is in a file; returns the exit status. Raises BadInput."""
     if args.out and find_spec("matplotlib") is None:
-        print("error: -o needs matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
-        return cli.FAILED
+        return cli.failed("-o needs matplotlib: pip install 'plumeward[view]'")
     if args.out and (refusal := cli.unwritable("--out", [args.out], args.force)):
         raise cli.BadInput(refusal)
     try:

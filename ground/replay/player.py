@@ -32,11 +32,11 @@ from link.bus.keys import (
     row_name,
     vehicle_of,
 )
-from link.bus.messages import Belief, Health, by_number, unpack_particles
+from link.bus.messages import Belief, Health, by_number
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.cli import numbers
 from link.record.record import Entry
-from plume.outcome import rate_interval
+from sitl.launch.heard import rate_interval_of
 from sitl.launch.processes import RECORDER, Ended, LogLine, Processes, raise_for, secure_words
 from sitl.launch.progress import Progress, pace
 
@@ -117,10 +117,7 @@ class Player:
         own: the services were started for this replay.
         """
         self._bus, self._others = bus, others
-        self._source = source
-        self._progress = progress
-        self._rules = rules
-        self._own = own
+        self._source, self._progress, self._rules, self._own = source, progress, rules, own
         # The number of the vehicle whose reading the services answer, of several.
         self._last = source.vehicles if source.vehicles > 1 else None
         available = {kind for kind, service in SERVICES.items() if not own or service in source.parts}
@@ -294,11 +291,7 @@ class Player:
         """The 95% interval of the last belief's release rate, g/s; None if it is known, or not told."""
         if self.last is None or self._newest is None:
             return None
-        unknowns = self.last.unknowns
-        with contextlib.suppress(ValueError):
-            particles = unpack_particles(self.said[self._newest].attachment, len(unknowns))
-            return rate_interval(unknowns, particles, self.last.intermittency)
-        return None
+        return rate_interval_of(self.last, self.said[self._newest].attachment)
 
     def _answered(self, answer: Answer) -> None:
         if answer.time_ms > self._latest_ms:

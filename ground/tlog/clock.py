@@ -97,8 +97,7 @@ def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> VehicleClock:
     if restarts:
         log.notes.append(f"the vehicle restarted: {few(restarts)}; its time continues across restarts here")
     silences_us = np.diff(log.times_us[own])
-    gaps = np.flatnonzero(silences_us > GAP_US).tolist()
-    if gaps:
+    if gaps := np.flatnonzero(silences_us > GAP_US).tolist():
         told = few([f"{silences_us[gap] / 1e6:.1f} s at {log.seconds(own[gap]):.1f} s" for gap in gaps])
         log.notes.append(
             f"gaps without a message from the vehicle: {told}; {silences_us[gaps].sum() / 1e6:.1f} s in total"

@@ -251,8 +251,7 @@ def _offsets(local: Track, around: Track) -> dict[int, Floats]:
     for boot, fixes in local.of_boots():
         chosen = fixes[:: max(1, len(fixes) // SAMPLED)].tolist()
         pairs = [(around.at(float(local.times_ms[fix])), local.places[fix]) for fix in chosen]
-        differences = [np.array(place) - own for place, own in pairs if place is not None]
-        if differences:
+        if differences := [np.array(place) - own for place, own in pairs if place is not None]:
             offsets[boot] = np.asarray(np.median(differences, axis=0))
     return offsets
 

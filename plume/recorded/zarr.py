@@ -54,7 +54,7 @@ class Chunked:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._file = file = folder / ".zarray"
+        file = folder / ".zarray"
         said: ChunkedArray = _read(file, ChunkedArray)
         self._said = said
         if said.zarr_format != 2:

@@ -31,11 +31,8 @@ class Disturbances:
         leave_out: orders that a vehicle leaves the search, with who says so.  start: starts one that joins.
         """
         self._to_come = [event for event in events if isinstance(event, Kill | Cut | Exclude | Late)]
-        self._leave_out, self._start = leave_out, start
-        self._processes = processes
-        self._relays = relays
-        self._watchdog = watchdog
-        self._say = say
+        self._processes, self._relays, self._watchdog = processes, relays, watchdog
+        self._say, self._leave_out, self._start = say, leave_out, start
         self._mends: list[tuple[float, Kill | Cut]] = []  # by the time of each restart or restored link
 
     def reached(self, step: int, time_s: float) -> None:

@@ -256,11 +256,6 @@ class MissionHeard:
         """
         return max((vehicle.trace for vehicle in self.vehicles), key=lambda trace: trace.newest)
 
-    @property
-    def home(self) -> tuple[float, float] | None:
-        """Latitude and longitude of home, degrees; followed once MAVLINK_OUT is subscribed."""
-        return self.vehicles[0].home
-
     def points(self) -> list[TracePoint] | None:
         """Return the trace, the vehicles' points one after the other in each step; None if it has gaps."""
         traces = [vehicle.trace.points() for vehicle in self.vehicles]
@@ -287,11 +282,7 @@ class MissionHeard:
 
     def last_word(self, last: Belief) -> LastWord:
         """Return what else the last belief says; without its particles the rate has no interval."""
-        ends = None
-        with contextlib.suppress(ValueError):
-            particles = unpack_particles(self._particles, len(last.unknowns))
-            ends = rate_interval(last.unknowns, particles, last.intermittency)
-        return LastWord(last.covariance, last.rate, ends)
+        return LastWord(last.covariance, last.rate, rate_interval_of(last, self._particles))
 
     def _belief(self, belief: Belief | None, particles: bytes) -> Belief | None:
         if not belief or max(seen := by_number(belief)) > len(self.vehicles):
@@ -311,6 +302,14 @@ class MissionHeard:
             )
         self.last, self._particles = belief, particles
         return belief
+
+
+def rate_interval_of(said: Belief, particles: bytes) -> tuple[float, float] | None:
+    """Return the 95% interval of a belief's release rate, g/s; None if it is known, or not told."""
+    with contextlib.suppress(ValueError):
+        rows = unpack_particles(particles, len(said.unknowns))
+        return rate_interval(said.unknowns, rows, said.intermittency)
+    return None
 
 
 class HeardTrace:

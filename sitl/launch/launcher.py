@@ -252,13 +252,9 @@ class MissionWatch:
         endpoint: str,
         files: RecordFiles | None,
     ) -> None:
-        self._mission = mission
-        self._bus = bus
-        self._progress = progress
-        self._watchdog = watchdog
-        self._disturbances = disturbances
-        self._endpoint = endpoint
-        self._files = files
+        self._mission, self._bus, self._progress = mission, bus, progress
+        self._watchdog, self._disturbances = watchdog, disturbances
+        self._endpoint, self._files = endpoint, files
         self._heard = MissionHeard(bus, mission.system, mission.stands, mission.late)
         self._began_at, self._look_at = time.monotonic(), 0.0
         self._last_words: dict[str, str] = {}
@@ -532,7 +528,8 @@ class MissionWatch:
             intermittency=last.intermittency,
             advised_dwell_s=last.advised_dwell,
             last_word=heard.last_word(last),
-            home=self._mission.origin or (heard.home if self._mission.real else self._mission.home),
+            home=self._mission.origin
+            or (heard.vehicles[0].home if self._mission.real else self._mission.home),
             left=heard.departures,
             doubted=heard.doubted,
             joined=heard.joined,

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.observation import BOUND, OUTSIDE, SCHEMAS
+from agent.observation import OUTSIDE, SCHEMAS
+from agent.scale_free import BOUND
 from agent.trials.rollout import mission
 from link.bus.messages import Belief, pack_particles, unpack_particles
 from plume.scenario import AREA_M

@@ -52,8 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the report on a folder of raw results; returns the exit status. Raises BadInput."""
     if find_spec("matplotlib") is None:
-        print("error: report needs matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
-        return cli.FAILED
+        return cli.failed("report needs matplotlib: pip install 'plumeward[view]'")
     try:
         results = read(args.results)
         leaderboard = read_boards(args.results, results)
@@ -128,8 +127,7 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
         "Dashed: the mean information floor. Hollow: the paper. MTD and ST are means over ceased missions. "
         "Made by `plumeward report`."
     )
-    hidden = len(results.policies) - len(drawing.compared(results.policies))
-    if hidden:
+    if hidden := len(results.policies) - len(drawing.compared(results.policies)):
         for_both += f" {hidden} more policies are in the tables."
     for name, title, axis, at in (
         ("particles", "Figures by number of particles", "particles", f"ζ = {results.threshold_m:g} m"),

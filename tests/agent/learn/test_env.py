@@ -25,8 +25,9 @@ import plumeward  # noqa: F401  registers the environments
 from agent.bundle import load
 from agent.learn.env import TRAINING_SEEDS, SourceSearch, SourceSearchVector
 from agent.learn.problems import anywhere
-from agent.observation import BOUND, SCHEMAS
+from agent.observation import SCHEMAS
 from agent.planning.moves import Headings
+from agent.scale_free import BOUND
 from agent.trials.rollout import rollout
 from link.bus.messages import Belief, Particles
 from plume.problem import AREA, Area, Problem

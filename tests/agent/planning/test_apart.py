@@ -68,7 +68,6 @@ def test_a_way_that_is_not_free_is_turned_aside_and_a_free_one_is_left_alone() -
 def test_those_who_have_chosen_are_foreseen_on_their_way_and_inside_the_area() -> None:
     reach = shared([[[8.0, 5.0], [9.0, 5.0]], [[29.5, 5.0], [30.0, 5.0]]], [[1.0, 1.0]])
     assert reach.foreseen(2.0).tolist() == [[10.0, 5.0], [30.0, 5.0]]
-    assert reach.others.tolist() == [[9.0, 5.0], [30.0, 5.0], [1.0, 1.0]]
     assert Reach().foreseen().shape == (0, 2)
 
 
