@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ground.view.access import AccessRules
-from ground.view.server import LONGEST_MESSAGE, Fleet, PageServer
+from ground.view.server import LONGEST_MESSAGE, PageServer
 from ground.view.serving import server_of
 from scene.scene import (
     Backdrop,
@@ -182,7 +182,7 @@ class Actor:
 class Served:
     """The page of some vehicles, served by a thread."""
 
-    def __init__(self, shown: Fleet, host: str = "127.0.0.1", token: str = "") -> None:
+    def __init__(self, shown: Any, host: str = "127.0.0.1", token: str = "") -> None:
         self._shown, self._token = shown, token
         self._host, self.port = host, 0
         self._loop: asyncio.AbstractEventLoop | None = None
