@@ -475,7 +475,7 @@ class Drawing:
         self._text = self.map.text(0, 1.025, "", size=9, **above)
 
     def _show_readings(self, scenes: Sequence[Scene]) -> None:
-        taken = [it for scene in scenes for it in scene.measurements]
+        taken = [it for scene in scenes for it in scene.measurements if not math.isnan(it.gas)]
         self.readings.set_offsets(np.array([it.position for it in taken], np.float64).reshape(-1, 2))
         self.readings.set_array(np.array([it.gas for it in taken]))
 

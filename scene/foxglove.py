@@ -270,7 +270,7 @@ class SceneEncoder:
             new = measurements
         if not new and (measurements or "path" not in self._said):
             return
-        for measurement in new[-LONGEST_PATH:]:
+        for measurement in [it for it in new if not math.isnan(it.gas)][-LONGEST_PATH:]:
             self._path.poses.add(**_pose(measurement.position))
             self._gas.append((*measurement.position, 0.0, measurement.gas))
         del self._path.poses[:-LONGEST_PATH], self._gas[:-LONGEST_PATH]

@@ -147,7 +147,7 @@ class Measurement:
     step: int
     time_s: float
     position: Point
-    gas: float
+    gas: float  # NaN: no reading, since the vehicle has left its search
     spread_m: float
     estimate: Point
     covariance: tuple[float, float, float]  # (xx, xy, yy) m²

@@ -211,14 +211,14 @@ class History:
         return True
 
     def _stayed(self, seen: dict[int, Belief]) -> Belief | None:
-        """Return a round's belief for a vehicle that has left: it stays where it has read last.
+        """Return a round's belief for a vehicle that has left: it stays where it has read last, without gas.
 
         None of one that has not read.
         """
         last = self.measurements.at()
         if last is None:
             return None
-        return msgspec.structs.replace(next(iter(seen.values())), position=last.position, gas=last.gas)
+        return msgspec.structs.replace(next(iter(seen.values())), position=last.position, gas=math.nan)
 
     def lives(self, service: str, alive: bool, wall_s: float) -> None:
         """Take that a part appeared on the bus or is gone."""

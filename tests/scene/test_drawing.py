@@ -91,6 +91,14 @@ def test_each_vehicle_of_a_search_has_its_way_its_gas_and_its_name() -> None:
     assert [text.get_text() for text in legend.get_texts()][:2] == ["uav/1", "uav/2"]
 
 
+def test_gas_of_a_vehicle_that_has_left_ends_where_it_left() -> None:
+    after = replace(scene(), measurements=[*TAKEN[:3], replace(TAKEN[2], step=3, gas=math.nan)])
+    shown = blank(after, steps=4).show(after)
+    assert shown.readings.get_array().tolist() == [0.1, -0.2, 7.0]
+    (vehicle,) = shown.vehicles
+    assert np.isnan(vehicle.gases.get_ydata()).tolist() == [False, False, False, True]
+
+
 def test_buildings_are_filled_and_the_polygon_to_keep_in_is_a_line() -> None:
     wall, fence = ((4.0, 4.0), (8.0, 4.0), (8.0, 9.0)), ((1.0, 1.0), (28.0, 1.0), (28.0, 28.0))
     made = scene(release=None)

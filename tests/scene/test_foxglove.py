@@ -265,6 +265,14 @@ def test_a_path_keeps_its_newest_readings() -> None:
         assert [pose.position.x for pose in said["path"].poses] == newest
 
 
+def test_a_vehicle_that_has_left_adds_no_reading() -> None:
+    encoder = SceneEncoder()
+    encoder.encode(SCENE, STAMP_NS)
+    after = replace(FIRST, step=1, gas=math.nan, estimate=(1.0, 1.0))
+    said = decoded(encoder.encode(replace(SCENE, measurements=(FIRST, after)), STAMP_NS))
+    assert set(said) == {"estimate", "fix/estimate"}
+
+
 def test_what_is_gone_is_deleted() -> None:
     encoder = SceneEncoder()
     encoder.encode(SCENE, STAMP_NS)

@@ -324,6 +324,19 @@ def test_the_charts_hold_every_reading_and_the_threshold(stage: Stage, window: W
     assert window.of(f"[...{charts}.gas.data[1]]") == [1, 1, 1, 1, 1, 1, 3, 3.5]
 
 
+def test_gas_of_a_vehicle_that_has_left_ends_where_it_left(stage: Stage, window: Window) -> None:
+    more = (measured(6, 4.0, gas=50.0), replace(measured(7, 3.0, gas=math.nan), position=(5.0, 4.0)))
+    stage.vehicles["uav/1"].show(measurements=(*scene().measurements, *more))
+    window.until("plumeward.panes.get('uav/1').charts.gas.data[0].length === 8")
+    window.drawn()
+    assert window.of("[...plumeward.panes.get('uav/1').charts.gas.data[1]].slice(-2)") == [50, None]
+    assert window.text(".gas-title") == "Gas: 50 g/m³"
+    assert window.count("gas-5", (4.8, 3.8, 5.2, 4.2)) > 20  # nothing lies on its last reading
+    at = window.of("(({ view }) => [view.x(5), view.y(4)])(plumeward.panes.get('uav/1').map)")
+    window.page.locator(".map canvas").hover(position={"x": at[0], "y": at[1]})
+    window.until("document.querySelector('.pointer').textContent.startsWith('reading 6: 50.0 g/m³')")
+
+
 def test_only_warnings_and_the_stop_are_read_aloud(stage: Stage, window: Window) -> None:
     assert window.page.locator("#aloud").text_content() == ""  # what was there before is not news
     happenings = (

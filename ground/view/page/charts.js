@@ -143,8 +143,8 @@ export class Charts {
     const row = at_s === null ? this.table.times.length - 1 : this.table.times.indexOf(at_s);
     const when = at_s !== null && row >= 0 ? ` at ${seconds(at_s)}, reading ${this.table.steps[row]}` : "";
     for (const { head, title, unit, plot, note } of Object.values(this.plots)) {
-      const value = plot.data[1]?.[plot.data[0].indexOf(this.table.times[row])];
-      const said = Number.isFinite(value) ? `: ${short(value)}${unit ? (unit === "°" ? "°" : ` ${unit}`) : ""}${when}` : " · no reading yet";
+      const values = plot.data[1] ?? [], value = when ? values[plot.data[0].indexOf(at_s)] : values.findLast(Number.isFinite);
+      const said = Number.isFinite(value) ? `: ${short(value)}${unit ? (unit === "°" ? "°" : ` ${unit}`) : ""}${when}` : ` · no reading${when || " yet"}`;
       setText(head, [title + said, when ? "" : note].filter(Boolean).join(" · "));
     }
   }

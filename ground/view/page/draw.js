@@ -182,7 +182,7 @@ export function level({ edges, falls }, gas) {
 
 export function readings(g, view, rows, gauge) {
   g.lineWidth = 1;
-  for (const [x, y, gas] of rows) {
+  for (const [, , x, y, gas] of rows) {
     const at = gauge ? level(gauge, gas) : 0;
     g.beginPath();
     g.arc(view.x(x), view.y(y), gauge && !at ? 3 : 5, 0, 2 * Math.PI);

@@ -147,7 +147,7 @@ export class WorldMap {
     let best = { far: NEAR };
     for (const one of [...others, model]) {
       const its = moved(view, away(scene.home, one.scene.home));
-      for (const row of one.measurements) {
+      for (const row of readings(one)) {
         const far = Math.hypot(its.x(row[2]) - px, its.y(row[3]) - py);
         if (far <= best.far) best = { far, row, one };
       }

@@ -52,7 +52,7 @@ export function merge(model, { header, arrays }) {
 }
 
 // Columns of a measurement, as of `_row` in wire.py.
-const STEP = 0, TIME = 1, X = 2, Y = 3, GAS = 4, SPREAD = 5, WIND = 9, RATE = 11, P = 14, EVIDENCE = 15, SIZE = 16;
+const STEP = 0, TIME = 1, GAS = 4, SPREAD = 5, WIND = 9, RATE = 11, P = 14, EVIDENCE = 15, SIZE = 16;
 const KG_H = 3.6; // of a g/s
 
 /** Columns of the measurements, for the charts. */
@@ -66,9 +66,9 @@ export function columns(model) {
   };
 }
 
-/** Where gas was measured, and how much: [x, y, gas]. */
+/** The measurements with a reading: a vehicle that has left its search takes none, and the belief goes on. */
 export function readings(model) {
-  return model.measurements.map((row) => [row[X], row[Y], row[GAS]]);
+  return model.measurements.filter((row) => row[GAS] !== null);
 }
 
 /** The newest measurement as an object; null if there is none. */

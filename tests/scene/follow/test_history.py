@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Codec, Reading, pack_reading, waypoint_message
-from link.bus.messages import Belief, Departure, Health, Stop, pack_particles
+from link.bus.messages import Belief, Departure, Health, RoundReading, Stop, pack_particles
 from link.record.reader import Recording, read
 from link.record.record import Entry
 from scene.follow.history import History, history_of, remark_on
@@ -318,6 +318,17 @@ def test_a_vehicle_that_leaves_a_search_is_told_once(history: History) -> None:
     assert said(history) == [
         ("warning", "estimator", "uav/3 has left the search at step 4: gone from the bus for 20 s")
     ]
+
+
+def test_a_vehicle_that_has_left_reads_no_more_and_still_shows_the_belief_of_the_others() -> None:
+    history = History(Backdrop("search/1/uav/2"), number=2)
+    own, other = RoundReading(2, 2, 0, (7.0, 8.0), 5.0, 0.5), RoundReading(1, 1, 0, (1.0, 2.0), 5.0, 3.0)
+    history.take("belief", belief(0, readings=[other, own]), b"", 0.0, 100.0)
+    history.take("belief", belief(1, readings=[other], spread=0.25), b"", 1.0, 101.0)
+    first, second = history.at().measurements
+    assert (first.gas, first.position, first.spread_m) == (0.5, (7.0, 8.0), 0.36)
+    assert math.isnan(second.gas)
+    assert (second.position, second.spread_m) == ((7.0, 8.0), 0.25)
 
 
 def test_a_scene_of_the_past_knows_nothing_newer(history: History) -> None:
