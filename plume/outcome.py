@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from functools import reduce
 from itertools import pairwise
 from operator import add
+from textwrap import wrap
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -368,12 +369,9 @@ def vehicle_lines(result: Outcome) -> list[str]:
             lines.append(f"{'':9}doubted from step {doubted[each.vehicle]}: does not fit the others")
         if gone := left.get(each.vehicle):
             counts = ", its readings forgotten" if gone.forgotten and each.readings else ""
-            lines.append(_cropped(f"{'':9}left at step {gone.step}{counts}: {gone.reason}"))
+            why = f"left at step {gone.step}{counts}: {gone.reason}"
+            lines += wrap(why, LINE, initial_indent=" " * 9, subsequent_indent=" " * 9)
     return lines
-
-
-def _cropped(line: str) -> str:
-    return line if len(line) <= LINE else f"{line[: LINE - 1]}…"
 
 
 def assumed_text(assume: str, stop: str, world: str) -> str:

@@ -257,10 +257,11 @@ def test_the_lines_of_several_vehicles_say_who_measured_what_and_who_left_when_a
     why = "no reading for 20 s: Gas sensor silent since the last of its values came"
     left = [Left(3, 0, "was killed by signal 9"), Left(2, 1, why)]
     result = outcome(1, "random", SCENARIO, trace, True, 0.1, "field", "spread:0.5", left=left)
-    assert outcome_text(result).splitlines()[-5:] == [
+    assert outcome_text(result).splitlines()[-6:] == [
         "uav/1    2 readings, at most 0.75",
         "uav/2    1 reading, at most 1.5",
-        "         left at step 1: no reading for 20 s: Gas sensor si…",
+        "         left at step 1: no reading for 20 s: Gas sensor",
+        "         silent since the last of its values came",
         "uav/3    0 readings",
         "         left at step 0: was killed by signal 9",
     ]
