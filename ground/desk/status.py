@@ -69,7 +69,13 @@ class Board:
         return self._parts.get(name)
 
     def lives(self, name: str, alive: bool, now_s: float) -> None:
-        """Take that a part appeared or disappeared."""
+        """Take that a part appeared or disappeared.
+
+        The vehicles of a search by several, once there, are wanted in place of the one that is elsewhere.
+        """
+        if alive and name.startswith(OF_VEHICLE) and not self._only_wanted:
+            self._wanted = self._wanted - {"uav"} | {name}
+            self._parts.pop("uav", None)
         part = self._part(name, now_s)
         if part and alive and not part.alive:
             self._parts[name] = Part(True, now_s)
@@ -190,10 +196,7 @@ def _look(joined: ExitStack, args: argparse.Namespace, shown: Live | None) -> bo
 def _meet(joined: ExitStack, args: argparse.Namespace, namespace: str) -> tuple[Bus, Board]:
     """Join the bus of a vehicle, and begin to judge its parts."""
     bus = _join(joined, args, namespace)
-    alive = bus.services()
-    flying = sorted(part for part in alive if part.startswith(OF_VEHICLE))
-    usual = [*flying, *(part for part in PARTS if part != "uav")] if flying else PARTS
-    board = Board(args.parts or usual, alive, time.monotonic(), only_wanted=bool(args.parts))
+    board = Board(args.parts or PARTS, bus.services(), time.monotonic(), only_wanted=bool(args.parts))
     bus.watch_services()
     bus.subscribe(HEALTH)
     return bus, board

@@ -92,6 +92,18 @@ def test_others_that_are_there_are_shown_behind_and_leave_without_a_trace() -> N
     assert list(b.report(1002.0)) == ["uav", "estimator", "agent"]
 
 
+def test_vehicles_of_a_search_have_a_row_each_also_those_that_came_late_and_are_gone() -> None:
+    b = board("estimator")
+    assert list(b.report(1001.0)) == ["uav", "estimator", "agent"]
+    for vehicle in ("uav/2", "uav/1"):
+        b.lives(vehicle, True, 1002.0)
+        speak(b, vehicle, 1002.0)
+    b.lives("uav/2", False, 1003.0)
+    told = {name: part["status"] for name, part in b.report(1003.0).items()}
+    assert told == {"uav/1": "ok", "uav/2": "missing", "estimator": "starting", "agent": "missing"}
+    assert list(told) == ["uav/1", "uav/2", "estimator", "agent"]
+
+
 @pytest.mark.parametrize("other", ["uav", "recorder"])
 def test_where_parts_are_named_all_others_are_left_out(other: str) -> None:
     b = board("estimator", other, only=("estimator",))
