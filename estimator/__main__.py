@@ -77,6 +77,11 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
     )
     cli.add_doubted_argument(parser)
     args = parser.parse_args(arguments)
+    if args.sysid and args.sysid + args.vehicles > 256:
+        parser.error(
+            f"--sysid: {args.sysid} is not allowed with --vehicles {args.vehicles}; wanted 1 to "
+            f"{256 - args.vehicles}: the others' follow it, and 255 is the last"
+        )
     try:
         problem = problem_of(args)
         known, (stop,) = knowledge(args, problem), criteria(args, problem)

@@ -18,7 +18,7 @@ from plume.problems.options import add_fleet_arguments
 from sitl.autopilot.vehicle import Vehicle
 from sitl.script.options import ORIGIN_WANTED, fleet_of, origin_of, script_for_vehicle, script_of
 from sitl.script.script import Script
-from sitl.uav.options import add_vehicle_arguments, at_own_home, at_own_stand, longest_wait_s
+from sitl.uav.options import add_vehicle_arguments, at_own_home, at_own_stand, check_ids, longest_wait_s
 from sitl.uav.simulated import simulated_uav
 
 REAL_VEHICLE = "aircraft.remote.command"  # flies a real vehicle; loaded only then
@@ -99,16 +99,16 @@ def _place_in_fleet(args: argparse.Namespace, script: Script) -> tuple[Fleet, in
     if fleet.vehicles == 1:
         if "number" in args.given:
             raise cli.BadInput("--number: it needs --vehicles N: one vehicle alone has no number")
+        check_ids(args, 1)
         return fleet, 1
     number = args.number or args.instance + 1
     if number > fleet.vehicles:
-        raise cli.BadInput(f"--number: {number} is not allowed; wanted 1 to {fleet.vehicles} (--vehicles)")
+        given, most = f"--number: {number} is not allowed; wanted 1", fleet.vehicles
+        if not args.number:
+            given, most = f"-I: {args.instance} is not allowed without --number; wanted 0", most - 1
+        raise cli.BadInput(f"{given} to {most} (--vehicles)")
     if "instance" not in args.given:
         args.instance = number - 1
-    if args.instance < number - 1 and not args.sysid:
-        raise cli.BadInput(
-            f"-I: {args.instance} is not allowed with --number {number}: its system id would be another's; "
-            f"wanted {number - 1} or more, or --sysid"
-        )
+    check_ids(args, fleet.vehicles, number)
     args.namespace = args.namespace or f"search/{max(args.instance + 2 - number, 1)}"
     return fleet, number

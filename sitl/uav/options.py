@@ -10,6 +10,7 @@ from aircraft.bridge.address import parse_out
 from aircraft.search.search import AfterStop
 from aircraft.together import Berth
 from link import cli
+from link.access.roles import MOST_SEARCHES, MOST_VEHICLES
 from link.signing.key import read_key
 from plume.flight import TRY_AGAIN_S, leg_s
 from plume.geodesy import to_global
@@ -19,6 +20,7 @@ from sitl.script.options import add_mission_arguments
 LATE_IN_A_MOVING_WORLD = (
     "a simulated vehicle cannot join late where gas, wind or sensor change with time: it would not know it"
 )
+MOST_SYSTEMS = 255  # MAVLink's system ids begin with 1
 HOMES_APART_M = 40.0  # default homes lie so far apart that search areas do not overlap
 
 
@@ -94,6 +96,20 @@ def add_vehicle_arguments(
         help="once the search is over: return home and land, land on the spot, or hold until told (default: "
         "%(default)s)",
     )
+
+
+def check_ids(args: argparse.Namespace, vehicles: int, number: int = 1) -> None:
+    """Raise BadInput if -I or --sysid is not for a vehicle of that number among several, or for --secure."""
+    which = f" for vehicle {number} of {vehicles}, whose system ids follow each other" if vehicles > 1 else ""
+    low, high = number - 1, MOST_SYSTEMS - 1 - vehicles + number
+    wanted = [("--sysid", args.sysid, low + 1, high + 1, which)]
+    if args.secure and not getattr(args, "namespace", None):
+        most = number - 2 + (MOST_SEARCHES if vehicles > 1 else MOST_VEHICLES)
+        wanted.append(("-I", args.instance, 0, most, " with --secure"))
+    wanted.append(("-I", args.instance, 0 if args.sysid else low, high, which))
+    for flag, value, least, most, why in wanted:
+        if value is not None and not least <= value <= most:
+            raise cli.BadInput(f"{flag}: {value} is not allowed{why}; wanted {least} to {most}")
 
 
 def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:

@@ -25,6 +25,7 @@ COMMANDS = [
     (["estimator", "--threshold", "nan"], ["--threshold", "'nan'", "above 0"]),
     (["estimator", "--rate", "0"], ["--rate", "'0'", "from 0.001 up to 1e+06"]),
     (["estimator", "--connect", "nowhere"], ["--connect", "'nowhere'", "tcp/127.0.0.1:7447"]),
+    (["estimator", "--vehicles", "8", "--sysid", "250"], ["--sysid", "250", "--vehicles 8", "1 to 248"]),
     (["sitl", "fly", "--particles", "-5"], ["--particles", "'-5'", "from 10 to 1000000"]),
     (["sitl", "--speedup", "-1"], ["--speedup", "'-1'", "from 0"]),
     (["sitl", "uav", "--out", "serial:/dev/tty"], ["--out", "'serial:/dev/tty'", "udpout:HOST:PORT"]),

@@ -63,15 +63,47 @@ def test_of_vehicles_that_search_together_each_has_the_system_id_of_its_number(s
         client.close()
 
 
-def test_a_number_and_an_instance_that_give_another_vehicles_system_id_are_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+OF_THREE = "whose system ids follow each other"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (
+            "uav --vehicles 3 --number 3 -I 1",
+            f"-I: 1 is not allowed for vehicle 3 of 3, {OF_THREE}; wanted 2 to 254",
+        ),
+        ("uav --vehicles 3 -I 4", "-I: 4 is not allowed without --number; wanted 0 to 2 (--vehicles)"),
+        (
+            "uav --vehicles 3 --number 3 --sysid 2",
+            f"--sysid: 2 is not allowed for vehicle 3 of 3, {OF_THREE}; wanted 3 to 255",
+        ),
+        (
+            "uav --vehicles 3 --number 1 --sysid 255",
+            f"--sysid: 255 is not allowed for vehicle 1 of 3, {OF_THREE}; wanted 1 to 253",
+        ),
+        ("uav --secure certs -I 64", "-I: 64 is not allowed with --secure; wanted 0 to 63"),
+        (
+            "uav --secure certs --vehicles 3 --number 2 -I 9",
+            "-I: 9 is not allowed with --secure; wanted 0 to 8",
+        ),
+        (
+            "fly --vehicles 3 -I 253",
+            f"-I: 253 is not allowed for vehicle 1 of 3, {OF_THREE}; wanted 0 to 252",
+        ),
+        (
+            "fly --vehicles 3 --sysid 254",
+            f"--sysid: 254 is not allowed for vehicle 1 of 3, {OF_THREE}; wanted 1 to 253",
+        ),
+        ("fly --secure certs --vehicles 3 -I 8", "-I: 8 is not allowed with --secure; wanted 0 to 7"),
+        ("fly --secure certs -I 64", "-I: 64 is not allowed with --secure; wanted 0 to 63"),
+    ],
+)
+def test_what_gives_one_of_several_no_system_id_or_certificate_is_refused_as_it_was_typed(
+    words: str, told: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, _, err = run_sitl(monkeypatch, capsys, "uav", "--vehicles", "3", "--number", "3", "-I", "1")
-    assert status == 2
-    assert err == [
-        "error: -I: 1 is not allowed with --number 3: its system id would be another's; wanted 2 or more, "
-        "or --sysid"
-    ]
+    status, _, err = run_sitl(monkeypatch, capsys, *words.split())
+    assert (status, err) == (2, [f"error: {told}"])
 
 
 def test_a_chosen_system_id_goes_with_any_number_and_instance(start) -> None:
