@@ -1,6 +1,7 @@
 """The history of a mission: what was said so far, and the scene at any moment of it."""
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -64,6 +65,7 @@ from scene.scene import (
 
 TRACK_STEP_M = 0.1  # the track gets a point when the vehicle has moved this far
 FIRST = 1  # of several vehicles that search together, the one that is followed as a rule
+SPOKEN = 20  # of a vehicle's texts, those that its health may say again
 RESTART_MS = 1000  # a vehicle whose own time goes back by more was started again
 TICK_S = 1e-6  # least time between two messages of a search by several
 NOWHERE = math.nan, math.nan
@@ -100,8 +102,9 @@ class History:
         self.craft: Craft | None = None  # the vehicle as it reported itself last
         self.happenings: Timed[Happening] = Timed(whole, MOST)
         self._budget, self._turns, self._whole = budget, turns, whole
-        self._parts = Parts(whole, self._happened)
+        self._parts = Parts(whole, self._part_says)
         self._texts = {"uav": Texts(), "search": Texts()}
+        self._spoken: deque[str] = deque(maxlen=SPOKEN)  # the vehicle's newest texts
         self._area = AreaFrame()
         self._begin()
 
@@ -148,6 +151,11 @@ class History:
 
     def _happened(self, time_s: float, level: str, who: str, text: str) -> None:
         self.happenings.add(time_s, Happening(time_s, level, who, text[:LONGEST]))
+
+    def _part_says(self, time_s: float, level: str, who: str, text: str) -> None:
+        """Take what a part says of itself, unless it has told it already: the uav logs its texts, too."""
+        if text.encode("ascii", "replace").decode() not in self._spoken:
+            self._happened(time_s, level, who, text)
 
     # ---- taking ----
 
@@ -243,6 +251,7 @@ class History:
             if frame.message_id == TEXT:
                 who = "uav" if is_own else "search"
                 if text := self._texts[who].joined(fields["text"], fields["id"], fields["chunk_seq"]):
+                    self._spoken.append(text)
                     self._happened(time_s, level_of(fields["severity"]), who, text)
             elif frame.message_id == ORIGIN and not is_own:
                 if self._area.lies(fields):

@@ -95,13 +95,22 @@ class Parts:
                 yield Service(name, judged, *told)
 
 
+def _gist(warning: str) -> str:
+    """Return a warning without its figures, which change while it lasts."""
+    return warning.partition(" (")[0]
+
+
 def _news(before: Health | None, said: Health) -> Iterator[tuple[str, str]]:
     """Yield (level, words) for what a health message says and the one before it did not."""
     if before and said.uptime_s < before.uptime_s:
         yield WARNING, "was restarted"
-    told = (*before.warnings, before.last_error) if before else ()
-    for words in dict.fromkeys((*said.warnings, said.last_error)):
-        if words and words not in told:
-            yield WARNING, words
+    warned, error = ([*map(_gist, before.warnings)], before.last_error) if before else ([], "")
+    every = [words for words in (*said.warnings, said.last_error) if words and words != error]
+    new = [words for words in every if _gist(words) not in warned]
+    # The log has a warning once, and with more words.
+    for words in dict.fromkeys(
+        said.last_error if said.last_error.startswith(_gist(it)) else it for it in new
+    ):
+        yield WARNING, words
     if before and said.service == "uav" and said.state != before.state:
         yield INFO, said.state

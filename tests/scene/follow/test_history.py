@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.words import Words
 from link.bus.mavlink import Codec, Reading, pack_reading, waypoint_message
 from link.bus.messages import Belief, Departure, Health, RoundReading, Stop, pack_particles
 from link.record.reader import Recording, read
@@ -309,6 +310,37 @@ def test_warnings_restarts_and_departures_are_told_once(history: History) -> Non
         ("warning", "estimator", "was restarted"),
         ("warning", "estimator", "is gone"),
     ]
+
+
+def test_a_warning_is_told_once_in_its_longer_form_and_again_only_when_it_comes_back(
+    history: History,
+) -> None:
+    fit = "the readings do not fit the model (p = {} over the last 30)"
+    logged = fit.format("1e-05") + ": is the sensor stuck, is the model right?"
+    hums = "one value plus noise explains the readings as well as a plume does"
+    for uptime_s, (warnings, error) in enumerate(
+        [
+            ((fit.format("1e-05"),), logged),
+            ((fit.format("2e-07"),), logged),  # another figure is no other warning
+            ((hums,), f"{hums}: does the sensor hum?"),
+            ((), f"{hums}: does the sensor hum?"),
+            ((hums,), f"{hums}: does the sensor hum?"),
+        ]
+    ):
+        message = health("estimator", float(uptime_s), warnings=warnings, last_error=error)
+        history.take("health/estimator", message, b"", float(uptime_s), 100.0 + uptime_s)
+    assert [text for _, _, text in said(history)] == [logged, *[f"{hums}: does the sensor hum?"] * 2]
+
+
+def test_what_the_vehicle_has_told_its_health_does_not_say_again(history: History) -> None:
+    told, wide = "Search gives way: HOLD by 255/190 on the bus", "Search gives way: 40 m – too far"
+    for text in (told, wide):
+        frames = Words().statustext(mavlink.MAV_SEVERITY_WARNING, text)
+        history.take("mavlink/out", UAV.pack(*frames), b"", 1.0, 100.0)
+    for uptime_s, error in enumerate((told, wide, "nobody answers")):
+        message = health("uav", float(uptime_s), last_error=error)
+        history.take("health/uav", message, b"", 2.0 + uptime_s, 101.0 + uptime_s)
+    assert [text for _, _, text in said(history)] == [told, wide.replace("–", "?"), "nobody answers"]
 
 
 def test_a_vehicle_that_leaves_a_search_is_told_once(history: History) -> None:
