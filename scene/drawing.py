@@ -22,6 +22,7 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Ellipse, FancyArrowPatch
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
@@ -45,10 +46,12 @@ STYLE: Any = {
 }
 UNDATED = dict.fromkeys(("Creator", "Date", "Format", "Type"))  # SVG metadata that would differ each time
 SIZE_IN = 9.6, 5.4
+LEGEND_ROWS = 3  # there is room for below the map
 FRAME_DPI = 100  # dots per inch of an animation: 960 × 540 pixels
 MAP = 0.065, 0.2, 0.39, 0.39 * SIZE_IN[0] / SIZE_IN[1]  # left, bottom, width, height; shares of the figure
 DOT = 5.0  # area of a particle of mean weight, square points
 MANY = 1000  # with more particles dots are smaller; with more than a tenth as many readings, no dots
+WIDE, HIGH = 0.13, 0.07  # of a name, by the map's sides
 CELLS = 120  # along a side of the area, for the plume
 GAS = (0.1, 100.0)  # range of concentrations shown, g/m³; it begins at half the noise in clean air
 PLUME = LinearSegmentedColormap.from_list(
@@ -189,9 +192,10 @@ class _Vehicle:
         (self._start,) = drawing.map.plot([], [], color=colour, animated=True, **START)
         (self._craft,) = drawing.map.plot([], [], zorder=6, animated=True, **VEHICLE)
         (self.gases,) = drawing.gas.plot([], [], **CURVE | {"color": colour})
-        self._name = drawing.map.annotate(
+        self.name = drawing.map.annotate(
             name, (0, 0), (6, 6), textcoords="offset points", color=colour, size=9, zorder=6, animated=True
         )
+        self.name.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
 
     def show(self, scene: Scene, *, crafts: bool) -> None:
         """Show a scene of it; crafts: with the vehicle where it is."""
@@ -206,9 +210,18 @@ class _Vehicle:
         if shown:
             self._craft.set_marker(_nose(shown.heading))
         at = shown.position if shown else places[0] if len(places) else None
-        self._name.set_visible(at is not None and bool(np.isfinite(at).all()))
+        self.name.set_visible(at is not None and bool(np.isfinite(at).all()))
         if at is not None:
-            self._name.xy = float(at[0]), float(at[1])
+            self.name.xy = float(at[0]), float(at[1])
+            self._turn_name(places)
+
+    def _turn_name(self, way: NDArray[np.float64]) -> None:
+        """Write the name beside its place, away from the way; near the map's edge, inwards."""
+        along, up = self.name.axes.transLimits.transform(self.name.xy)
+        is_right, is_below = along < 1 - WIDE, len(way) > 0 and way[:, 1].mean() > self.name.xy[1]
+        is_above = up < HIGH or (up < 1 - HIGH and not is_below)
+        self.name.set(ha="left" if is_right else "right", va="bottom" if is_above else "top")
+        self.name.set_position((6 if is_right else -6, 6 if is_above else -6))
 
 
 class _TurnedWind:
@@ -446,7 +459,7 @@ class Drawing:
         self.figure.legend(
             handles=[Line2D([], [], **{"label": label} | style) for label, style in styles.items()],
             loc="lower center",
-            ncols=4 if self._is_print else 6,
+            ncols=max(4 if self._is_print else 6, math.ceil(len(styles) / LEGEND_ROWS)),
             fontsize=9,
             columnspacing=1.6,
         )

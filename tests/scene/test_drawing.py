@@ -91,6 +91,33 @@ def test_each_vehicle_of_a_search_has_its_way_its_gas_and_its_name() -> None:
     assert [text.get_text() for text in legend.get_texts()][:2] == ["uav/1", "uav/2"]
 
 
+def test_names_and_the_legend_of_many_vehicles_lie_on_nothing_that_is_written() -> None:
+    corners = [(1.0, 1.0), (29.0, 1.0), (29.0, 29.0), (1.0, 29.0)]
+    scenes = [
+        replace(
+            scene(),
+            backdrop=Backdrop(f"uav/{i + 1}", title="a"),
+            craft=Craft(0.0, place),
+            measurements=[replace(it, position=place) for it in TAKEN],
+        )
+        for i, place in enumerate([*corners, *PLACES])
+    ]
+    drawing = blank(scenes[0], beliefs=[scenes[0]] * 5, steps=4, beside=scenes[1:]).show(
+        scenes[0], scenes[1:]
+    )
+    drawing.figure.canvas.draw()
+    edges = drawing.map.get_window_extent()
+    for vehicle in drawing.vehicles:
+        name = vehicle.name.get_window_extent()
+        assert edges.x0 < name.x0 < name.x1 < edges.x1
+        assert edges.y0 < name.y0 < name.y1 < edges.y1
+    (legend,) = drawing.figure.legends
+    words, label = [it.get_window_extent() for it in legend.get_texts()], drawing.map.xaxis.label
+    assert max(it.y1 for it in words) < label.get_window_extent().y0
+    assert min(it.y0 for it in words) > 0
+    assert max(it.x1 for it in words) < drawing.figure.bbox.x1
+
+
 def test_gas_of_a_vehicle_that_has_left_ends_where_it_left() -> None:
     after = replace(scene(), measurements=[*TAKEN[:3], replace(TAKEN[2], step=3, gas=math.nan)])
     shown = blank(after, steps=4).show(after)
