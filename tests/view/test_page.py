@@ -365,6 +365,15 @@ def test_the_outcome_is_clear(stage: Stage, window: Window) -> None:
     assert len(looks) == 5
 
 
+def covered(window: Window) -> bool:
+    """Whether the legend lies on the map, or a button on the area in it."""
+    return window.of("""[...document.querySelectorAll('.pane')].some((pane) => {
+        const box = (selector) => pane.querySelector(selector).getBoundingClientRect(), map = box('canvas');
+        const { view } = plumeward.panes.get(pane.getAttribute('aria-label').replace('Vehicle ', '')).map;
+        return box('.legend-fold').top < map.bottom || box('.map-tools').bottom > map.top + view.y(30);
+    })""")
+
+
 # ---- vehicles that come and go ----
 
 
@@ -400,6 +409,8 @@ def test_two_vehicles_are_chosen_from_a_list_and_seen_side_by_side(stage: Stage,
     assert window.count("waypoint", (2, 26, 4, 28)) == 0
     left, right = (window.page.locator(".pane").nth(i).bounding_box() for i in (0, 1))
     assert left["x"] + left["width"] <= right["x"]
+    assert not covered(window)
+    assert window.page.locator(".facts dd").first.is_visible()
     window.keep("two-vehicles")
     assert window.violations() == []
     other.here = False
@@ -409,6 +420,23 @@ def test_two_vehicles_are_chosen_from_a_list_and_seen_side_by_side(stage: Stage,
     assert window.page.locator(".pane").nth(0).locator(".why").inner_text() == "The vehicle is gone."
     window.page.select_option("#second", "")
     assert window.page.locator(".pane").count() == 1
+
+
+def test_on_a_phone_the_legend_lies_below_the_map_and_a_name_at_its_edge_is_whole(
+    stage: Stage, look: Callable[..., Window]
+) -> None:
+    stage.enter(replace(scene(), craft=replace(scene().craft, position=(3.0, 27.0))), "search")
+    at_the_edge = replace(scene("uav/2"), craft=replace(scene().craft, position=(29.9, 10.0)), waypoint=None)
+    stage.enter(at_the_edge, "search")
+    window = drawn(look(stage.address, PHONE, has_touch=True, is_mobile=True))
+    window.until("plumeward.state.models['uav/2']?.scene")
+    window.drawn()
+    window.page.locator(".legend-fold summary").click()
+    assert window.page.locator(".legend .gauge").is_visible()
+    assert not covered(window)
+    assert window.narrow_enough()
+    assert window.count("ink", (24.5, 11.2, 28.8, 13.0)) > 20  # the name, to the left
+    window.keep("phone-legend", whole=True)
 
 
 def test_a_vehicle_that_is_chosen_again_shows_all_that_it_showed_before(stage: Stage, window: Window) -> None:

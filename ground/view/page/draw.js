@@ -260,9 +260,10 @@ export function craft(g, view, { x, y, heading }, pale) {
   g.restore();
 }
 
-/** A name beside its vehicle, above those that are there already: [left, bottom, right] px. */
+/** A name beside its vehicle, within the window's width, above those that are there already: [left, bottom, right] px. */
 export function name(g, view, { x, y }, text, there) {
-  const left = view.x(x) + 12, right = left + g.measureText(text).width;
+  const wide = g.measureText(text).width, fits = view.x(x) + 12 + wide < g.canvas.clientWidth;
+  const left = view.x(x) + (fits ? 12 : -12 - wide), right = left + wide;
   let bottom = view.y(y) - 12;
   while (there.some(([from, at, to]) => left < to && right > from && Math.abs(at - bottom) < LINE)) bottom -= LINE;
   there.push([left, bottom, right]);

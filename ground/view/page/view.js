@@ -1,6 +1,6 @@
 // Which part of the world the map shows: all of it, the belief, or what people chose. Metres to pixels and back.
 
-const LEFT = 38, RIGHT = 14, TOP = 46, BOTTOM = 30; // px kept free around what is shown in full
+const LEFT = 38, RIGHT = 14, TOP = 80, BOTTOM = 30; // px kept free around what is shown in full
 const SMALLEST_M = 1, LARGEST = 20; // of what can be zoomed to: metres, and times the area
 
 /** Whether a vehicle has said where it is. */
