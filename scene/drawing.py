@@ -186,7 +186,7 @@ class _Vehicle:
     """One vehicle in its colour: its way and its start on the map, and the gas that it has read."""
 
     def __init__(self, drawing: "Drawing", colour: str, name: str) -> None:
-        self.colour = colour
+        self.colour, self._map = colour, drawing.map
         line = PATH | {"color": colour, "animated": True}
         (self.path,) = drawing.map.plot([], [], zorder=2.5, label="path", **line)
         (self._start,) = drawing.map.plot([], [], color=colour, animated=True, **START)
@@ -217,7 +217,7 @@ class _Vehicle:
 
     def _turn_name(self, way: NDArray[np.float64]) -> None:
         """Write the name beside its place, away from the way; near the map's edge, inwards."""
-        along, up = self.name.axes.transLimits.transform(self.name.xy)
+        along, up = self._map.transLimits.transform(self.name.xy)
         is_right, is_below = along < 1 - WIDE, len(way) > 0 and way[:, 1].mean() > self.name.xy[1]
         is_above = up < HIGH or (up < 1 - HIGH and not is_below)
         self.name.set(ha="left" if is_right else "right", va="bottom" if is_above else "top")
