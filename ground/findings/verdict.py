@@ -12,6 +12,7 @@ FOUND, DOUBTFUL, OUTSIDE, NOT_FOUND = "found", "doubtful", "outside", "not found
 # As in `estimator/belief.py`; a test holds them equal.
 INCOMPATIBLE = 1e-4  # below this p-value readings, or winds, do not fit the model
 CLEAR = 5.0  # least evidence of a plume for a stop, nats
+REFUSED = "refused "  # the estimator says so of messages that it drops: no word on the find
 NARROW_M = 1.0  # a belief whose spread is below this claims a place, stop or not
 
 
@@ -78,7 +79,7 @@ def _doubts(flight: Flight, told: Told) -> tuple[str, ...]:
     doubts += [
         f"the estimator warned in flight: {text}"
         for text in warned
-        if not (text.startswith(winds) and last.wind_p_value < INCOMPATIBLE)
+        if not ((text.startswith(winds) and last.wind_p_value < INCOMPATIBLE) or text.startswith(REFUSED))
     ]
     if isinstance(told.sensor, Instrument) and told.sensor.air:
         doubts.append(

@@ -26,6 +26,10 @@ def test_a_stop_without_a_warning_is_a_find() -> None:
     assert judged(advised_dwell=0.0).kind == FOUND
 
 
+def test_a_message_that_the_estimator_refused_is_no_doubt_of_the_find() -> None:
+    assert judged(warned="refused reading: uav/3 has left the search", advised_dwell=0.0).kind == FOUND
+
+
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
