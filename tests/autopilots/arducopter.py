@@ -51,6 +51,7 @@ DEFAULTS = {
     "EK3_DRAG_BCOEF_X": 0.0,
     "EK3_DRAG_BCOEF_Y": 0.0,
     "EK3_DRAG_MCOEF": 0.0,
+    "DISARM_DELAY": 10.0,
     "FENCE_ENABLE": 0.0,
     "FENCE_TYPE": 7.0,
     "FENCE_ACTION": 1.0,
@@ -69,6 +70,7 @@ class ArduCopter(Autopilot):
     says = ARDUPILOT
     unasked_us: dict[int, int] = {}  # noqa: RUF012
     defaults = DEFAULTS
+    disarm_delay = "DISARM_DELAY"
 
     def boot(self) -> None:
         """Start again in STABILIZE."""

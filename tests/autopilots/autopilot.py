@@ -22,7 +22,6 @@ ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 NOTICE, WARNING, CRITICAL, INFO = 5, 4, 2, 6
 GROUND, FLYING, TAKING_OFF, LANDING = 1, 2, 3, 4
 FORCE = 21196.0
-DISARM_AFTER_S = 10.0
 
 
 @dataclass
@@ -45,6 +44,8 @@ class Autopilot:
     """When the EKF of this autopilot usually has a position, s after boot."""
     says: dict[int, Callable[..., Message | None]]
     unasked_us: dict[int, int]
+    disarm_delay: str
+    """The parameter that says how long it stands armed, s."""
     """Messages that stream unasked, with their intervals."""
     defaults: dict[str, float]
 
@@ -374,9 +375,9 @@ class Autopilot:
         return LANDING if self.landing() else TAKING_OFF if self.taking_off() else FLYING
 
     def disarm_on_ground(self) -> None:
-        """Disarm a vehicle that stands armed for 10 s without taking off, or has come down."""
+        """Disarm a vehicle that stands armed for its delay without taking off, or has come down."""
         since = max(self.armed_s, self.landed_s)
-        if self.landed and self.now_s - since >= DISARM_AFTER_S:
+        if self.landed and self.now_s - since >= self.parameters[self.disarm_delay]:
             self.disarm()
 
     # ---- what each autopilot says of itself

@@ -68,6 +68,7 @@ class Px4(Autopilot):
 
     autopilot = mavlink.MAV_AUTOPILOT_PX4
     is_ardupilot = False
+    disarm_delay = "COM_DISARM_PRFLT"
     ready_after_s = 12.0
     says = SAYS
     unasked_us = {  # noqa: RUF012
