@@ -369,7 +369,7 @@ READ = (
     "The intervals hold 95% of the belief, which is what the readings say under the assumption above. The "
     "region is the ellipse of the belief's covariance, and the smallest region that holds 95% of its "
     "particles, as contour. Where the search stopped, both are made wider or narrower, by how strongly the "
-    "gas came and went: so they held the source of simulated leaks about as often as they say. How often "
-    "they hold the truth, also where the assumption is wrong, is measured: see docs/findings.md of "
-    "Plumeward.",
+    "gas came and went: so they held the source of simulated leaks about as often as they say. Where puffs "
+    "are few, the interval of the rate is wider, too. How often they hold the truth, also where the "
+    "assumption is wrong, is measured: see docs/findings.md of Plumeward.",
 )
