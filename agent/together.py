@@ -36,7 +36,7 @@ def choose_all(
         return [choose(name, belief, particles, seed_of(seed, numbers[0]), within)]
 
     def decide(vehicle: int, reach: Shared) -> Place:
-        seen = seen_by(belief, places[vehicle], gases[vehicle])
+        seen = seen_by(belief, places[vehicle], gases[vehicle], numbers[vehicle])
         return choose(name, seen, particles, seed_of(seed, numbers[vehicle]), reach)
 
     return in_turn(within, places, separation_m, decide, left_at)
@@ -63,6 +63,7 @@ def in_turn(
     return chosen
 
 
-def seen_by(belief: Belief, place: Place, gas: float) -> Belief:
-    """Return a round's belief as the vehicle sees it that read this there."""
-    return msgspec.structs.replace(belief, position=place, gas=gas)
+def seen_by(belief: Belief, place: Place, gas: float, number: int) -> Belief:
+    """Return a round's belief as the vehicle of this number sees it, which read this there."""
+    back = (belief.backs or {}).get(number, msgspec.UNSET)
+    return msgspec.structs.replace(belief, position=place, gas=gas, back=back)

@@ -113,7 +113,7 @@ def _told(seed: int, cell: Cell) -> Flown:
     def decide(vehicle: int, free: Shared) -> Place:
         place = rounds.places[vehicle]
         if math.dist(place, source) <= NEAR_M:
-            seen = seen_by(flown.belief, place, flown.readings[vehicle].gas)
+            seen = seen_by(flown.belief, place, flown.readings[vehicle].gas, vehicle + 1)
             return choose(cell.policy, seen, flown.particles, seed_of(agent_seed, vehicle + 1), free)
         moves = free.moves(place)
         x, y = moves[np.argmin(lengths(moves - source))].tolist()

@@ -86,6 +86,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         intermittency=gas,
         advised_dwell=advised_dwell(gas, config.sensor),
         back=_back(posterior),
+        backs=_backs(posterior),
     )
     particles = np.empty((posterior.particles.shape[1], len(unknown_means) + 1), np.float32, order="F")
     particles[:, :-1] = posterior.particles.T
@@ -96,6 +97,17 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
 def _back(posterior: Posterior) -> tuple[float, float] | msgspec.UnsetType:
     place = way_back(posterior.readings[:, :2]) if posterior.vehicles is None else None
     return msgspec.UNSET if place is None else place
+
+
+def _backs(posterior: Posterior) -> dict[int, tuple[float, float]] | msgspec.UnsetType:
+    if posterior.vehicles is None:
+        return msgspec.UNSET
+    found = {
+        int(posterior.vehicles[own][0]): place
+        for own in posterior.by_vehicle
+        if (place := way_back(posterior.readings[own, :2]))
+    }
+    return found or msgspec.UNSET
 
 
 def way_back(places: Array) -> tuple[float, float] | None:

@@ -145,7 +145,7 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
         self._frames: list[Frame] = []
         schema = SCHEMAS[self.settings.observation]
         for agent, reading in zip(self.agents, flown.readings, strict=True):
-            seen = seen_by(flown.belief, reading.position, reading.gas)
+            seen = seen_by(flown.belief, reading.position, reading.gas, reading.vehicle)
             self._observations[agent], frame = schema.see(seen, flown.particles, self.searching.searched)
             self._frames.append(frame)
 

@@ -85,7 +85,7 @@ class MissionRow(msgspec.Struct, frozen=True):
     vehicles: int = 1
     start_from: str = "point"  # where they started, in the form of --from
     separation_m: float | None = None  # least distance between the ways of two vehicles; None of one alone
-    # Readings after which the search was found to repeat itself; None in older files, and of fleets.
+    # Readings after which the search was found to repeat itself; None in older files.
     stalls: int | None = None
 
     @property

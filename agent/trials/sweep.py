@@ -159,7 +159,7 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
     for step in steps:
         said = step.belief
         updates_s.append(step.update_s)
-        stalls += said.back is not msgspec.UNSET
+        stalls += (said.back is not msgspec.UNSET) + len(said.backs or ())
         if said.step:
             decisions_s.append(step.decision_s)
             for reading in step.readings:
@@ -209,7 +209,7 @@ def row_of(
         nees=nees(last.mean, source, last.covariance),
         steps=last.step,
         distance_m=distance_m,
-        stalls=None if sweep.fleet.vehicles > 1 else stalls,
+        stalls=stalls,
         floor_m=floor_m,
         search_time_s=sum(updates_s) + sum(decisions_s),
         decision_ms=1e3 * float(np.mean(decisions_s)) if decisions_s else 0.0,

@@ -159,6 +159,13 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "places in turn for long; absent if it does not, and with several vehicles"
         ),
     ] = msgspec.UNSET
+    backs: Annotated[
+        dict[int, Pair] | msgspec.UnsetType,
+        Meta(
+            description="of a search by several vehicles: where each that repeats itself would go next, as "
+            "`back`, by its number; absent if none does"
+        ),
+    ] = msgspec.UNSET
     readings: Annotated[
         tuple[RoundReading, ...] | msgspec.UnsetType,
         Meta(

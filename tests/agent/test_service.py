@@ -2,9 +2,12 @@
 next one is answered.
 """
 
+import math
+
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent import service
 from agent.policies import reach
@@ -103,6 +106,21 @@ def test_a_round_is_answered_by_a_waypoint_for_each_vehicle_in_one_payload() -> 
         "homing", belief, particles, 3, reach("homing"), [(3.0, 4.0), (9.0, 4.0)], [0.1, 0.5], 3.0
     )
     assert [(each.y, each.x) for each in told] == chosen
+
+
+def test_of_several_vehicles_the_one_that_repeats_itself_goes_elsewhere_and_the_others_as_before() -> None:
+    summary, _, attached = said(**of_two()).partition(BETWEEN)
+    belief = msgspec.json.decode(summary, type=Belief)
+    particles = unpack_particles(attached, len(belief.unknowns))
+
+    def chosen(belief: Belief) -> list[tuple[float, float]]:
+        places, gases = [(3.0, 4.0), (9.0, 4.0)], [0.1, 0.5]
+        return choose_all("homing", belief, particles, 3, reach("homing"), places, gases, 3.0)
+
+    first, second = chosen(belief)
+    again = chosen(msgspec.json.decode(msgspec.json.encode(replace(belief, backs={2: second})), type=Belief))
+    assert again[0] == first
+    assert math.dist(again[1], second) > 0.5
 
 
 @pytest.mark.parametrize(

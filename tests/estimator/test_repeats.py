@@ -1,9 +1,12 @@
 """Protects the notice that a search repeats itself: what counts, and where it would go back to."""
 
+import msgspec
 import numpy as np
 import pytest
 
-from estimator.belief import REPEATS, way_back
+from estimator.belief import REPEATS, belief, way_back
+from estimator.filter import Config, assimilate, prior
+from link.bus.mavlink import Reading
 
 HERE, THERE = (3.0, 4.0), (6.0, 8.0)
 HOPS = [HERE, THERE] * (REPEATS // 2)
@@ -31,3 +34,16 @@ def test_a_vehicle_that_hovers_and_one_that_flies_on_do_not_repeat_themselves() 
 def test_the_verdict_is_the_same_in_other_units() -> None:
     for scale in (0.125, 1024.0):
         assert way_back(scale * np.array(HOPS)) == (scale * HERE[0], scale * HERE[1])
+
+
+def test_of_several_vehicles_the_belief_names_each_that_repeats_itself() -> None:
+    config = Config(particles=50)
+    posterior, said = prior(config), []
+    for step, hop in enumerate(HOPS):
+        for vehicle, place in ((1, (20.0, 1.0 + step)), (2, hop)):
+            reading = Reading(step, place, 5.0, (1.0, 0.0), 0.0, vehicle=vehicle)
+            posterior = assimilate(posterior, reading, config)
+        said.append(belief(posterior, reading, config)[0])
+    assert said[-1].backs == {2: HERE}
+    assert all(each.backs is msgspec.UNSET for each in said[:-1])
+    assert said[-1].back is msgspec.UNSET  # that is of a vehicle alone
