@@ -67,6 +67,12 @@ def _but(reasons: tuple[str, ...]) -> str:
     return f" But {'; '.join(reasons)}." if reasons else ""
 
 
+def _reason(warning: str) -> str:
+    """Return what a warning says, without its figures and the question that it ends with."""
+    said = warning.rpartition(": ")[0] if warning.endswith("?") else warning
+    return said.partition(" (")[0].rstrip(":")
+
+
 def _doubts(flight: Flight, told: Told) -> tuple[str, ...]:
     """Return why a stop deserves a second look."""
     last, doubts = flight.last, []
@@ -74,7 +80,7 @@ def _doubts(flight: Flight, told: Told) -> tuple[str, ...]:
         doubts.append(f"the record {flight.remark}")
     if last.wind_p_value < INCOMPATIBLE:
         doubts.append(f"the wind was not the same at all readings (p = {last.wind_p_value:.1g})")
-    warned = dict.fromkeys(it.text.partition(" (")[0].rstrip(":") for it in flight.estimator_warned)
+    warned = dict.fromkeys(_reason(it.text) for it in flight.estimator_warned)
     winds = "the wind is not the same"
     doubts += [
         f"the estimator warned in flight: {text}"

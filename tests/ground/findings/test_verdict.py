@@ -47,6 +47,17 @@ def test_a_stop_is_doubtful_and_says_why(changes: dict[str, Any], why: str) -> N
     assert any(why in reason for reason in said.reasons)
 
 
+def test_a_doubt_leaves_out_the_figures_of_a_warning_and_its_question() -> None:
+    misfit = "the readings do not fit the model (p = 1e-06 over the last 30): is the sensor stuck?"
+    assert judged(warned=misfit, advised_dwell=0.0).reasons == (
+        "the estimator warned in flight: the readings do not fit the model",
+    )
+    doubted = "the readings of uav/3 do not fit those of the others: is the sensor stuck, dead or wrong?"
+    assert judged(warned=doubted, advised_dwell=0.0).reasons == (
+        "the estimator warned in flight: the readings of uav/3 do not fit those of the others",
+    )
+
+
 def test_a_belief_outside_the_area_is_outside_and_says_where_to() -> None:
     said = judged(outside=0.97, mean=(35.0, 12.0))
     assert said.kind == OUTSIDE
