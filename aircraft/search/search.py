@@ -155,9 +155,8 @@ class Search:
             elif searchers:
                 self._begin(now_s)
         elif not self.vehicle.armed and not self.vehicle.moving:
-            stopped = (
-                "ended by a pilot or the autopilot: the motors have stopped in flight" if self.leads else ""
-            )
+            when = "while it took off" if self.state == TAKING_OFF else "in flight"
+            stopped = f"ended by a pilot or the autopilot: the motors have stopped {when}" * self.leads
             ended = f"ended by the pilot: {self._pilot}" if self._pilot else stopped
             self._said, self.leads, self.state = "", False, LANDED
             if ended and not self.is_over and not self.vehicle.failure:

@@ -59,7 +59,7 @@ class Progress:
         (mean_x, mean_y), seen = belief.mean, by_vehicle(belief)
         step = f"step {belief.step:3d}/{self._budget}"
         at = "at " + " ".join("({:5.2f}, {:5.2f})".format(*each.position) for each in seen)
-        gas = "gas " + " ".join(f"{each.gas:6.2f}" for each in seen)
+        gas = "gas " + " ".join(f"{each.gas:z6.2f}" for each in seen)
         spread, flown = f"spread {belief.spread:5.2f} m", f"flown {distance_m:5.1f} m"
         estimate = f"estimate ({mean_x:5.2f}, {mean_y:5.2f})"
         fields = [step, at, gas, spread, flown, estimate]

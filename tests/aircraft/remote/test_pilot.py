@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.remote.procedures import Targets
-from aircraft.search.search import LANDED, PAUSED, SEARCHING
+from aircraft.search.search import LANDED, PAUSED, SEARCHING, TAKING_OFF
 from tests.aircraft.remote.cockpit import Cockpit, away_m
 
 KINDS = ("ardupilot", "px4")
@@ -344,6 +344,21 @@ def test_a_search_whose_motors_are_stopped_in_flight_says_so(kind: str) -> None:
     assert cockpit.said[-1].startswith(
         ("ended by a pilot or the autopilot: the motors have stopped in flight", "ended by the pilot: GUIDED")
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("ardupilot", "Search gives way: HOLD by the autopilot"),  # GUIDED has no target when it is disarmed
+        ("px4", "ended by a pilot or the autopilot: the motors have stopped while it took off"),
+    ],
+)
+def test_a_search_whose_motors_are_stopped_while_it_takes_off_says_so(kind: str, said: str) -> None:
+    cockpit = Cockpit(kind, radio=True)
+    cockpit.until(lambda: cockpit.search.state == TAKING_OFF and cockpit.ap.armed)
+    cockpit.ap.disarm()
+    cockpit.until(lambda: cockpit.search.state == LANDED)
+    assert cockpit.said[-1] == said
 
 
 @both

@@ -98,6 +98,13 @@ def test_without_a_terminal_a_wait_is_told_once_and_only_if_it_lasts(
     assert file.getvalue().splitlines() == ["compiling kernels", "flying to the start"]
 
 
+def test_gas_below_nothing_has_no_sign_where_it_rounds_to_nothing(shown: Callable) -> None:
+    plain, file = shown(None)
+    for step, gas in ((0, -0.004), (10, -0.006)):
+        plain.show(SimpleNamespace(**vars(STEP) | {"step": step, "gas": gas}), 0.0)
+    assert re.findall(r"gas +(\S+)", file.getvalue()) == ["0.00", "-0.01"]
+
+
 def test_without_a_terminal_each_tenth_step_is_a_line_of_at_most_60_characters(shown: Callable) -> None:
     plain, file = shown(None)
     for step in range(21):
