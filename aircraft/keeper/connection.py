@@ -60,6 +60,7 @@ class Kept(Reopened):
         super().__init__(address, hub)
         # Why the keeper has sent the vehicle home, once it has: nothing of ours goes out any more.
         self.sent_home = ""
+        self.system = 0  # of the vehicle, once it is known
         self._process: subprocess.Popen[bytes] | None = None
         self._said = ""
         self._said_s = self._looked_s = math.inf
@@ -98,7 +99,10 @@ class Kept(Reopened):
         ours, its = socket.socketpair()
         with its:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", keeper.__name__, self.address.text, self._hub.log.least],
+                [
+                    *(sys.executable, "-m", keeper.__name__),
+                    *(self.address.text, self._hub.log.least, str(self.system)),
+                ],
                 stdin=its.fileno(),
                 stdout=stdout,
                 start_new_session=True,
@@ -136,7 +140,6 @@ class Connection(Hub):
         """Open the endpoint; raises ValueError if it cannot be used on this machine."""
         super().__init__(log)
         self.address = address
-        self._system = 0
         self._codec = Codec(0, ONBOARD_COMPUTER)
         self._parser = mavlink.MAVLink(None)
         self._frames: deque[bytes] = deque(maxlen=MOST_FRAMES)
@@ -159,8 +162,8 @@ class Connection(Hub):
 
     def use(self, system: int) -> None:
         """Speak as a companion computer of a system from now on."""
-        if self._system != system:
-            self._system, self._codec = system, Codec(system, ONBOARD_COMPUTER)
+        if self._kept.system != system:
+            self._kept.system, self._codec = system, Codec(system, ONBOARD_COMPUTER)
 
     def send(self, message: Message) -> None:
         """Send a message."""
@@ -177,7 +180,7 @@ class Connection(Hub):
             if frame.system == keeper.OWN:
                 self._kept.hear(self._parser.decode(bytearray(frame.data)))
                 continue
-            own = frame.system == self._system and frame.component != ONBOARD_COMPUTER
+            own = frame.system == self._kept.system and frame.component != ONBOARD_COMPUTER
             if own or frame.message_id == RADIO_STATUS:  # the radio on the link has a system id of its own
                 self._frames.append(frame.data)
             if frame.message_id in HEARD:

@@ -63,13 +63,15 @@ class Keeper:
         send: Callable[[Message], None],
         say: Callable[[int, str], None],
         hangs: Callable[[], None] = lambda: None,
+        system: int = 0,
     ) -> None:
         """Take how a message goes to the autopilot, and how people are told.
 
         hangs: what is done about a uav that is silent.
         """
-        # The vehicle's system id: that of its companion, the uav. 0 until the uav has found it.
-        self.system = 0
+        # The vehicle's system id: that of its companion, the uav, whose first HEARTBEAT with one tells it.
+        # 0 until the uav has found it. Companions of other systems are strangers.
+        self.system = system
         self.acted = ""  # why it has acted, once it has: from then on nothing of the uav's own is handed on
         self.over = False  # whether there is nothing left to do
         self._send, self._say, self._hangs = send, say, hangs
@@ -92,12 +94,12 @@ class Keeper:
 
         Returns whether it is to be handed on: what it hands on of others, which has other ids, always.
         """
-        if frame.component != ONBOARD_COMPUTER:
+        if frame.component != ONBOARD_COMPUTER or frame.system != (self.system or frame.system):
             return True
         if self.acted:
             return False
         if frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-            self._beat_s, self.system = now_s, frame.system or self.system
+            self._beat_s, self.system = now_s, frame.system
             ours = message_of(frame).system_status == mavlink.MAV_STATE_ACTIVE
             self._taken_over = self._taken_over and ours == self._ours  # it knows best, once it knows
             self._ours = ours
@@ -192,7 +194,8 @@ class Keeper:
             self.acted = "the uav has ended" if self._gone else f"the uav was silent for {SILENT_S:g} s"
             what = "stops the motors" if on_ground else "sends the vehicle home"
             self._say(CRITICAL, f"The keeper {what}: {self.acted}")
-            self._hangs()  # after our own line: its stacks are written piece by piece, on the same stderr
+            if not self._gone:
+                self._hangs()  # after our own line: its stacks are written piece by piece, on the same stderr
         if on_ground:  # which is refused in flight
             self._send(command(self.system, mavlink.MAV_CMD_COMPONENT_ARM_DISARM))
         else:
@@ -212,10 +215,10 @@ class Keeper:
 class Switch(Hub):
     """Hands frames on between the uav and the autopilot's endpoint."""
 
-    def __init__(self, url: str, uav: socket.socket, log: Log) -> None:
+    def __init__(self, url: str, uav: socket.socket, log: Log, system: int) -> None:
         """Open the endpoint; raises ValueError if it cannot be used on this machine."""
         super().__init__(log)
-        self.keeper = Keeper(self._send, self._say, partial(ask_for_stacks, os.getppid()))
+        self.keeper = Keeper(self._send, self._say, partial(ask_for_stacks, os.getppid()), system)
         self._codec = mavlink.MAVLink(None)
         self._used: Channel | None = None  # the vehicle's link
         self._told, self._tell_s = "", -math.inf  # the last word to the uav, and when it was said
@@ -284,16 +287,16 @@ class Switch(Hub):
 
 
 def main() -> None:
-    """Keep the vehicle at a URL for the uav on stdin.
+    """Keep the vehicle at a URL, whose system id is 0 as long as it is not known, for the uav on stdin.
 
     The line on stdout is empty if the URL can be used, else it says why not.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends when the uav has ended and the vehicle is cared for
-    url, level = sys.argv[1:]
+    url, level, system = sys.argv[1:]
     with socket.socket(fileno=0) as uav:
         try:
-            switch = Switch(url, uav, Log("keeper", "-", Tally(), level))
+            switch = Switch(url, uav, Log("keeper", "-", Tally(), level), int(system))
         except ValueError as error:
             print(error, flush=True)
             return

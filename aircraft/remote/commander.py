@@ -110,10 +110,11 @@ class Commander:
             raise VehicleFailed(f"system {system}: {reason}")
         if not reason and self.system and FIRMWARES[message.autopilot] is not self.known.firmware:
             reason = f"this is not {self.known.firmware.name}"
-        if not reason:
-            self.system = system
+        if not (reason or self.system):
+            self.system, self._beat_s = system, -math.inf
             self.radio.use(system)
-        elif reason not in self._unfit and len(self._unfit) < MOST_UNFIT:
+            self._beat()  # before anything of a stranger: it tells the keeper whose companion we are
+        elif reason and reason not in self._unfit and len(self._unfit) < MOST_UNFIT:
             # a gimbal or a companion that has taken the vehicle's ids
             self._unfit.add(reason)
             self.ignored.append(

@@ -10,6 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.keeper.keeper import GIVEN_UP_S, SILENT_S, Keeper
+from aircraft.operator import companion_heartbeat
 from link.bus.frames import FrameStream
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Message
 from tests.aircraft.remote.cockpit import STEPS, Cockpit, Radio
@@ -26,7 +27,9 @@ class KeptRadio(Radio):
 
     def __init__(self, wire: Wire) -> None:
         super().__init__(wire)
-        self.keeper = Keeper(self._of_the_keeper, lambda _, text: self.told.append(text))
+        self.stacks = 0
+        """How often the keeper has asked the uav for its stacks."""
+        self.keeper = Keeper(self._of_the_keeper, lambda _, text: self.told.append(text), self._asked)
         self.told: list[str] = []
         self.commands: list[int] = []
         """What the keeper has commanded."""
@@ -50,6 +53,9 @@ class KeptRadio(Radio):
     def _of_the_keeper(self, message: Message) -> None:
         self.commands.append(message.command)
         self.wire.hear(self._keepers.pack(message))
+
+    def _asked(self) -> None:
+        self.stacks += 1
 
     def lose(self) -> None:
         """What has come is lost: a link holds so much only."""
@@ -137,6 +143,7 @@ def test_a_vehicle_whose_uav_hangs_in_flight_is_sent_home(kind: str, phase: Call
     assert not kept.radio.commands
     kept.hangs_until(lambda: kept.ap.mode == "RTL", 5.0)
     assert kept.radio.told == ["The keeper sends the vehicle home: the uav was silent for 3 s"]
+    assert kept.radio.stacks == 1
     kept.hangs_until(lambda: not kept.ap.armed)
     assert kept.from_home_m < 0.5
     assert kept.radio.told[1] == f"The vehicle is left in {'RTL' if kind == 'ardupilot' else 'RETURN'}"
@@ -153,8 +160,28 @@ def test_a_vehicle_whose_uav_is_killed_in_flight_is_sent_home_at_once(
     kept.hangs_until(lambda: kept.ap.mode == "RTL", 2.0)
     kept.hangs_until(lambda: kept.keeper.over, 2.0)
     assert kept.radio.told[0] == "The keeper sends the vehicle home: the uav has ended"
+    assert not kept.radio.stacks
     kept.hangs_until(lambda: not kept.ap.armed)
     assert kept.from_home_m < 0.5
+
+
+def beat_of(system: int, state: int) -> bytes:
+    """A HEARTBEAT of another vehicle's companion computer."""
+    return Codec(system, ONBOARD_COMPUTER).pack(companion_heartbeat(state))
+
+
+@pytest.mark.parametrize("ends", [False, True], ids=["hangs", "killed"])
+def test_companions_of_other_vehicles_hide_neither_the_uavs_silence_nor_its_vehicle(ends: bool) -> None:
+    """Their HEARTBEATs come through the uav, from a router say, the last of them after its own last one."""
+    kept = Kept("ardupilot")
+    kept.reads(2)
+    strangers = [beat_of(42, mavlink.MAV_STATE_ACTIVE), beat_of(7, mavlink.MAV_STATE_STANDBY)]
+    for frame in strangers:
+        kept.radio.forward(frame)
+    if ends:
+        kept.keeper.gone()
+    kept.hangs_until(lambda: kept.ap.mode == "RTL", 5.0)
+    assert [kept.keeper.passes(each, 0.0) for each in FrameStream().take(b"".join(strangers))] == [True, True]
 
 
 @pytest.mark.parametrize("ends", [False, True], ids=["hangs", "killed"])
