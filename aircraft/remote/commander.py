@@ -58,6 +58,7 @@ class Commander:
         self._unfit: set[str] = set()
         self._running: CommandRun | None = None
         self._beat_s = self._streams_s = -math.inf
+        self.refused_s = -math.inf  # when the autopilot has last refused a client's command
         self._state = mavlink.MAV_STATE_UNINIT
 
     def patient(self, seconds: float) -> float:
@@ -97,7 +98,10 @@ class Commander:
             return
         if (kind == "HEARTBEAT" and not self._is_the_vehicles(message, system)) or not self.system:
             return
-        if kind == "COMMAND_ACK" and self._running and _is_ours(message, system):
+        if kind == "COMMAND_ACK" and not _is_ours(message, system):
+            if message.result not in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS):
+                self.refused_s = self.now_s
+        elif kind == "COMMAND_ACK" and self._running:
             self._running.acknowledged(message.command, message.result, self.now_s)
         self.known.take(message, self.now_s)
 

@@ -228,4 +228,6 @@ def _changes(frame: Frame) -> bool:
     """Whether a change of the flight mode may come of a frame."""
     if frame.message_id not in COMMAND_IDS:
         return bool(frame.message_id == mavlink.MAVLINK_MSG_ID_SET_MODE)
-    return fields_of(frame)["command"] in MODE_COMMANDS
+    fields = fields_of(frame)
+    arms = fields["command"] == mavlink.MAV_CMD_COMPONENT_ARM_DISARM and fields["param1"] == 1.0
+    return fields["command"] in MODE_COMMANDS and not arms

@@ -210,7 +210,7 @@ class Procedures:
 
     def _give_way(self, how: str) -> None:
         """Note that someone else leads: from now on nothing of ours goes out."""
-        asked = self.now_s - self._client_s <= ASKED_S
+        asked = self.now_s - self._client_s <= ASKED_S and self.commander.refused_s < self._client_s
         self.taken_from_us, self.taken_by_client = self.in_charge, asked
         self.taken_over, self.taken_s, self.streams = True, self.now_s, False
         self._stop()
@@ -219,7 +219,7 @@ class Procedures:
     def asked_by(self, client: str) -> None:
         """Note that a client's command goes to the autopilot through us.
 
-        What changes soon after it, the client has changed.
+        What changes soon after it, the client has changed, unless the autopilot refuses it.
         """
         self._client, self._client_s = client, self.now_s
 

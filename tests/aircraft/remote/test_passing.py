@@ -213,6 +213,27 @@ def test_who_changed_the_mode_over_the_bus_is_named() -> None:
     assert cockpit.heard("Search gives way: LOITER by 250/42 on the bus")
 
 
+@pytest.mark.parametrize(
+    "asked",
+    [
+        command(1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0),  # no mode comes of it
+        command(1, mavlink.MAV_CMD_DO_SET_MODE, 1.0, 99.0),  # the autopilot refuses it: there is no such mode
+    ],
+    ids=["arm", "refused"],
+)
+def test_a_failsafe_is_not_taken_for_a_client_whose_command_changes_no_mode(asked: Any) -> None:
+    """A client that asks again and again: else the vehicle would hover outside its fence for ever."""
+    cockpit = searching("ardupilot", "fence@#3", parameters={"FENCE_ACTION": 4})
+
+    def has_failed() -> str:
+        cockpit.tell(asked, (250, 42))
+        return cockpit.vehicle.failure
+
+    cockpit.until(has_failed)
+    assert "by its failsafe" in cockpit.vehicle.failure
+    cockpit.until(lambda: cockpit.ap.landed)
+
+
 def test_setpoints_of_others_are_refused_while_the_search_leads_and_handed_on_when_it_does_not() -> None:
     cockpit = searching("ardupilot")
     setpoint = mavlink.MAVLink_set_position_target_local_ned_message(
