@@ -454,11 +454,14 @@ class Bus:
     def refuse(self, key: Key, reason: str, kind: str) -> None:
         """Count a dropped message under `kind` and log the reason.
 
-        It is logged as info if it is only repeated, else as a warning.
+        It is logged as info if it is only repeated, or if the last one was refused for the same, else as a
+        warning.
         """
         self.tally.refuse(kind)
         shown = reason if len(reason) <= MOST_REASON else f"{reason[:MOST_REASON]}…"
-        (self.log.info if kind == REPEATED else self.log.warning)(f"refused {key.name}: {shown}")
+        said, before = f"refused {key.name}: {shown}", self.tally.last_refused
+        self.tally.last_refused = said
+        (self.log.info if kind == REPEATED or said == before else self.log.warning)(said)
 
     def decode(self, arrival: Arrival, kind: type[T]) -> T | None:
         """Decode JSON into a struct. A message that does not decode is refused, and None is returned."""

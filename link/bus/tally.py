@@ -51,6 +51,7 @@ class Tally:
     latency_s: float = 0.0
     warnings: tuple[str, ...] = ()
     last_error: str = ""
+    last_refused: str = ""  # the message that was dropped last, and why, in words
     ceased: bool = False  # true once it knows of the stop
     system: int = 0  # a vehicle's MAVLink system id
     refused: Counter[str] = field(default_factory=Counter)

@@ -238,11 +238,12 @@ class World:
     def _shown(self, value: float) -> float:
         """What the sensor shows for a false value, one that it could give.
 
-        A count is whole, below its threshold a sensor reads 0, and an instrument saturates.
+        A count is whole, below its threshold a sensor reads 0, and an instrument saturates; the resistance of
+        a metal oxide is never above that in clean air.
         """
         match self.sensor:
             case Instrument():
-                return min(value, self.sensor.saturation)
+                return min(value, self.sensor.saturation, self.sensor.air or math.inf)
             case Hits():
                 return max(round(value), 0)
             case Threshold(threshold) if value < threshold:

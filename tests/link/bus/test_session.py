@@ -228,6 +228,21 @@ def test_a_reason_that_quotes_a_strangers_megabyte_is_cut(
     assert "refused agdc/stop: Object contains unknown field `xxx" in line
 
 
+def test_what_is_refused_again_and_again_for_the_same_reason_is_a_warning_once(
+    router: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Such as a reading that is published until it is answered."""
+    with Bus("estimator", router, "uav/1") as estimator:
+        for gas in (1e12, 1e12, 1e12, 2e12, 1e12):
+            estimator.refuse(READING, f"gas {gas:g} is absurd", "absurd")
+    lines = [line for line in capsys.readouterr().err.splitlines() if "absurd" in line]
+    assert [line.split("level=")[1].split()[0] for line in lines] == [
+        *("warning", "info", "info"),
+        *("warning", "warning"),
+    ]
+    assert estimator.tally.refused == {"absurd": 5}
+
+
 def test_vehicles_do_not_hear_each_other(router: str) -> None:
     with (
         Bus("agent", router, "uav/1") as one,

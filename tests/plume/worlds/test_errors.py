@@ -12,7 +12,7 @@ from msgspec.structs import asdict
 
 from plume.randomness import Keyed, keyed
 from plume.scenario import AS_MODELLED, Scenario, draw
-from plume.sensors.names import GAUSSIAN, Sensor
+from plume.sensors.names import GAUSSIAN, Sensor, parse
 from plume.sensors.sensor import Gaussian, Hits, Threshold
 from plume.worlds.errors import WRONG
 from plume.worlds.names import named
@@ -330,6 +330,19 @@ def test_a_spike_is_added_to_its_reading_alone_and_shows_only_what_its_kind_can_
                 shown = 0.0
             assert spiked.gas(PLACE, step) == pytest.approx(shown, rel=1e-6)
             assert sensor.refusal(spiked.gas(PLACE, step), 100.0) is None
+
+
+@pytest.mark.parametrize("name", ["tgs2600", "tgs2611", "tgs2620"])
+def test_a_spike_of_a_metal_oxide_is_hardly_more_than_it_shows_in_clean_air(name: str) -> None:
+    """Resistances in clean air, by that in a reference gas: the data sheets' 1, 8.8 and 21."""
+    sensor = parse(name)
+    in_air = {"tgs2600": 1.0, "tgs2611": 8.8, "tgs2620": 21.0}[name]
+    for seed in range(100):
+        world = World(draw(seed), seed, sensor, "spikes-3")
+        for step in sorted(dict(named("spikes-3").errors(seed).spikes)):
+            gas = world.gas(PLACE, step)
+            assert gas <= 1.1 * in_air  # it drifts by percents
+            assert sensor.refusal(gas, 100.0) is None
 
 
 def test_a_stuck_sensor_repeats_one_value_from_reading_10_on_wherever_it_is() -> None:
