@@ -42,7 +42,7 @@ HEARD = frozenset(
 RADIO_STATUS = int(mavlink.MAVLINK_MSG_ID_RADIO_STATUS)
 MOST_FRAMES = 4096  # that wait to be handed on
 MOST_BYTES = 65536  # that wait for a keeper that does not read
-HANGS_S = 5.0  # a keeper says each second how it does; one that is silent for this long is replaced
+HANGS_S = 5.0  # a keeper says each second how it does; one that hands nothing on for this long is replaced
 START_S = 60.0  # longest time in which a keeper starts, on a busy machine
 # How long a keeper may take to end after the uav; one that sends the vehicle home takes longer, and is left.
 END_S = 1.0
@@ -67,11 +67,14 @@ class Kept(Reopened):
 
     def hear(self, said: Message) -> None:
         """Take the keeper's own word, a STATUSTEXT."""
-        self._said_s = self._looked_s
         if said.severity <= mavlink.MAV_SEVERITY_CRITICAL:
             self.sent_home = f"The keeper has taken the vehicle over: {said.text}"
         else:
             self._said = said.text
+
+    def lives(self) -> None:
+        """Something has come from the keeper. In a flood its own words may be dropped."""
+        self._said_s = self._looked_s
 
     def open(self) -> None:
         """Start the keeper; raises ValueError if it cannot use the URL on this machine."""
@@ -177,6 +180,7 @@ class Connection(Hub):
         """Return what has come."""
         heard = []
         for _, frame in self.take():
+            self._kept.lives()
             if frame.system == keeper.OWN:
                 self._kept.hear(self._parser.decode(bytearray(frame.data)))
                 continue

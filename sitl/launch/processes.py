@@ -130,7 +130,8 @@ class Child:
         self.killed = False  # on purpose: then its end is not reported
         self.heard_s = -math.inf  # when it printed its last line, by the monotonic clock
         self.answered = False  # whether it has printed the first line for which the launcher waits
-        self.aloud = False  # its log lines are printed at once: nobody reads the inbox any more
+        # Its log lines, or its warnings only, are printed at once: nobody reads the inbox any more.
+        self.aloud = self.parting = False
         self._inbox = inbox
         self._answer = Inbox()
         self._awaited = kind.answers
@@ -228,6 +229,8 @@ class Child:
             level, self._last_words = log.parse(line)
             if self.aloud:
                 print(f"{self.part}: {self._last_words}", file=sys.stderr)
+            elif self.parting and level in ("warning", "error"):
+                print(self._last_words, file=sys.stderr)
             self._lines(LogLine(self.part, self._last_words, level), len(line))
 
 
@@ -338,6 +341,7 @@ class Processes:
 
 def _end(children: list[Child]) -> None:
     for child in children:
+        child.parting = child.kind is FLYING
         child.signal(signal.SIGTERM)
         child.signal(signal.SIGCONT)  # a stopped process cannot handle SIGTERM
     deadline = time.monotonic() + STOP_TIMEOUT_S

@@ -215,6 +215,7 @@ def test_ctrl_c_in_mid_air_sends_the_vehicle_home_before_the_parts_end(
     wait_until(lambda: not autopilot.armed)
     assert not flight.says("hangs and is killed")
     assert flight.says("interrupted")
+    assert flight.says("uav: warning: The vehicle is told to return home")
     assert flight.says("Check: battery: ok, 100%"), "shown whatever the level of the log"
 
 
