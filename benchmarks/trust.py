@@ -319,7 +319,7 @@ def main() -> int:
     )
     several = (
         ("--assume", cli.listed(cli.checked(_is_assumption)), HOLDS),
-        ("--world", cli.listed(cli.checked(_is_world, WORLDS), separate), WORLDS),
+        ("--world", cli.listed(cli.checked(_is_world), separate), WORLDS),
         ("--policy", cli.listed(cli.checked(policy)), (DEFAULT, LEARNED)),
     )
     for flag, kind, usual in several:

@@ -31,7 +31,7 @@ from plume.problems.names import PROBLEMS
 from plume.problems.options import add_fleet_arguments, add_problem_argument, problem_of
 from plume.randomness import MAX_SEED
 from plume.scenario import AS_MODELLED
-from plume.worlds.names import ABOUT, OURS, check, kinds, separate
+from plume.worlds.names import ABOUT, check, kinds, separate
 
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
@@ -80,7 +80,7 @@ def address(text: str) -> str:
 
 def add_world_argument(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add the flag that chooses the world, or with `several` the worlds."""
-    world = cli.checked(check, OURS)
+    world = cli.checked(check)
     argument = parser.add_argument(
         "--world",
         type=cli.listed(world, separate) if several else world,

@@ -15,7 +15,7 @@ from ground.view.access import origin, word_in
 from link import cli
 from link.bus.opening import DEFAULT_ROUTER
 from plume.randomness import MAX_SEED
-from plume.worlds.names import OURS, check, kinds
+from plume.worlds.names import check, kinds
 from scene.follow.described import outlines
 from sitl.script.script import Script, load, shipped
 
@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     truth = "simulation only: the truth to show of the first vehicle is that of"
     parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), metavar="S", help=f"{truth} this seed")
     world = parser.add_argument(
-        "--world", type=cli.checked(check, OURS), metavar="NAME", help=f"{truth} this world"
+        "--world", type=cli.checked(check), metavar="NAME", help=f"{truth} this world"
     )
     cli.completed(world, kinds)
     mission = parser.add_argument("--mission", metavar="MISSION", help=f"{truth} this mission script")

@@ -3,6 +3,7 @@
 All commands, scripts, environments and functions take these names.
 """
 
+import difflib
 import inspect
 import math
 from collections.abc import Mapping, Sequence
@@ -131,7 +132,9 @@ def _made(kind: str) -> Make:
     if kind in GASES:
         return _load(GASES[kind])
     if not entry_points(group=PLUGINS, name=kind):
-        raise ValueError(f"no world {kind!r}; wanted {', '.join(kinds())}")
+        near = difflib.get_close_matches(kind, kinds(), 1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}? Wanted" if near else "wanted"
+        raise ValueError(f"no world {kind!r}; {hint} {', '.join(kinds())}")
     return _plugged_in(kind)
 
 

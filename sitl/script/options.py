@@ -11,7 +11,7 @@ from plume.problems.options import add_problem_argument
 from plume.randomness import MAX_SEED
 from plume.scenario import AS_MODELLED
 from plume.sensors import names as sensor
-from plume.worlds.names import ABOUT, OURS, check, kinds
+from plume.worlds.names import ABOUT, check, kinds
 from sitl.script.script import Script, VehiclePart, check_places, find, load, shipped
 from sitl.script.typed_yaml import Document
 
@@ -95,7 +95,7 @@ def add_mission_arguments(parser: argparse.ArgumentParser) -> None:
     )
     world = parser.add_argument(
         "--world",
-        type=cli.checked(check, OURS),
+        type=cli.checked(check),
         default=AS_MODELLED,
         metavar="NAME",
         help=f"{ABOUT} (default: %(default)s)",

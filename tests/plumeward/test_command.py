@@ -181,6 +181,10 @@ WRONG = [
         ["evaluate", "--world", "cv-1,x"],
         "plumeward evaluate: error: --world: no world 'x'; wanted as-modelled, puffs, walls, recorded, wind-10, wind-30, ",
     ),
+    (
+        ["rollout", "--world", "wind-30+puffs:share=2"],
+        "plumeward rollout: error: --world: world 'wind-30+puffs:share=2' is not allowed: share is 2; wanted ",
+    ),
     (["fly", "--qqq=3"], "plumeward fly: error: no flag '--qqq'; plumeward fly --help lists them"),
     (["agent", "--polcy", "homing"], "plumeward agent: error: no flag '--polcy'; did you mean '--policy'?"),
     (

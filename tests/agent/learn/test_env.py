@@ -526,7 +526,7 @@ def test_gymnasiums_wrappers_of_many_count_missions_right() -> None:
     [
         ({"observation": "pixels"}, "observation 'pixels' is not allowed; wanted paper or polar or polar-2"),
         ({"reward": "more"}, "reward 'more' is not allowed; wanted paper or cost or way"),
-        ({"world": "windy"}, f"world: no world 'windy'; wanted {', '.join(OURS)}"),
+        ({"world": "breeze"}, f"world: no world 'breeze'; wanted {', '.join(OURS)}"),
         ({"headings": 1}, "headings 1 is not allowed; wanted a whole number from 2"),
         ({"headings": 7.5}, "headings 7.5 is not allowed; wanted a whole number from 2"),
         ({"particles": 9}, "particles 9 is not allowed; wanted a whole number from 10 to 1000000"),

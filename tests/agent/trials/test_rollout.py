@@ -90,7 +90,9 @@ def test_where_readings_are_lost_the_values_taken_later_are_the_same() -> None:
 
 
 def test_a_world_that_is_none_is_told_with_those_that_are() -> None:
-    with pytest.raises(ValueError, match="no world 'windy'; wanted as-modelled, "):
+    with pytest.raises(
+        ValueError, match=r"no world 'windy'; did you mean 'wind-noisy'\? Wanted as-modelled, "
+    ):
         rollout(1, world="windy")
 
 

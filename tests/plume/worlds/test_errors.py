@@ -403,6 +403,6 @@ def test_the_page_on_worlds_lists_the_wrong_assumptions() -> None:
 def test_a_name_that_is_none_is_told_with_those_that_are() -> None:
     with pytest.raises(
         ValueError,
-        match=r"^no world 'wind-3'; wanted as-modelled, puffs, walls, recorded, wind-10, wind-30, .*, stuck-noisy",
+        match=r"^no world 'wind-3'; did you mean 'wind-30'\? Wanted as-modelled, puffs, walls, recorded, wind-10, wind-30, .*, stuck-noisy",
     ):
         World(draw(1), 1, name="wind-3")

@@ -43,6 +43,12 @@ def test_a_list_of_worlds_keeps_the_commas_of_parameters() -> None:
     [
         ("breeze", "no world 'breeze'; wanted as-modelled, puffs, walls, recorded, wind-10, "),
         ("", "no world ''; wanted as-modelled, "),
+        ("wind-3", "no world 'wind-3'; did you mean 'wind-30'? Wanted as-modelled, "),
+        ("wind-30+pufs:share=0.1", "no world 'pufs'; did you mean 'puffs'? Wanted as-modelled, "),
+        (
+            "wind-30+puffs:share=2",
+            "world 'wind-30+puffs:share=2' is not allowed: share is 2; wanted a number from 0 to 1",
+        ),
         ("puffs+", "world 'puffs+' is not allowed: puffs and  are both a gas; wanted one"),
         ("puffs+puffs", "world 'puffs+puffs' is not allowed: puffs and puffs are both a gas; wanted one"),
         ("puffs:shape=1", "'shape=1' of world 'puffs' is not allowed; wanted some of puffs:share=…,rate=…"),

@@ -92,7 +92,7 @@ MISTAKES = {
     (
         "seed: 7",
         "world: wind-3",
-    ): "2: world: no world 'wind-3'; wanted as-modelled, puffs, walls, recorded, wind-10, wind-30, ",
+    ): "2: world: no world 'wind-3'; did you mean 'wind-30'? Wanted as-modelled, puffs, walls, recorded, wind-10, wind-30, ",
     ("seed: 7", "world: 30"): "2: world: 30 is not allowed; wanted a world in the format of --world, ",
     (
         "particles: 500",
