@@ -3,27 +3,28 @@
 Each reading is assimilated by reweighting, and where needed resampling and moving.
 """
 
+import math
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from estimator.assumptions import SPIKES, effective_priors, margin
-from estimator.criterion import Criterion
+from estimator.criterion import WIDEST_M, Criterion
 from estimator.kernels.densities import Model, log_priors
 from estimator.kernels.update import WeightedSample, update
 from estimator.priors import Prior, draw, table
 from link.bus.mavlink import Reading
-from link.cli import FARTHEST_OUT_M
+from link.cli import FARTHEST_OUT_M, PARTICLES
 from plume.elementary import Array, Indices
 from plume.flight import leg_s
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.polygons.parts import numbered_sides
 from plume.problem import AREA, Area, Fenced, PriorParts
-from plume.problems.values import number
-from plume.randomness import keyed
+from plume.problems.values import number, short, whole
+from plume.randomness import MAX_SEED, keyed
 from plume.scenario import LIFETIME_S
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import GAUSSIAN, Sensor, lags, sensor_row, text
@@ -75,6 +76,18 @@ class Config:
                 f"sensor {self.sensor!r} is not allowed; wanted a sensor, such as "
                 "plume.sensors.names.parse('hits:3,0.1')"
             )
+        whole("particles", self.particles, 1, PARTICLES[1])
+        whole("seed", self.seed, 0, MAX_SEED)
+        for name in ("rate", "diffusivity", "lifetime"):
+            number(name, getattr(self, name), 0, sys.float_info.max, above=True)
+        number("threshold_m", self.threshold_m, 0, WIDEST_M, above=True)
+        if self.within is not None:
+            if not isinstance(self.within, Sequence) or len(self.within) != 2:
+                raise ValueError(
+                    f"within {short(self.within)} is not allowed; wanted (R, P), metres and a share"
+                )
+            number("within: R", self.within[0], 0, WIDEST_M, above=True)
+            number("within: P", self.within[1], 0, 1, above=True)
         if self.margin_m is not None:
             number("margin_m", self.margin_m, 0, FARTHEST_OUT_M)
         for argument, by_name in (("priors", self.priors), ("stop_limits", self.stop_limits)):
@@ -281,7 +294,7 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
     """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move.
 
     `estimator.kernels.update` does it. A function of its arguments alone: the same readings in the same order
-    give the same particles. `posterior` is not changed.
+    give the same particles. `posterior` is not changed. Raises ValueError if a number is not finite.
 
     Examples:
         >>> samples, wind = [((8.0, 9.0), 1.3), ((12.0, 10.0), 2.1), ((12.0, 12.0), 0.4)], (1.5, -0.5)
@@ -296,6 +309,8 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
         1 1.69 False
         2 1.16 False
     """
+    if not all(map(math.isfinite, (*reading.position, reading.altitude_m, *reading.wind, reading.gas))):
+        raise ValueError(f"{reading} is not allowed; wanted finite numbers")
     vehicles = posterior.vehicles
     if vehicles is not None or reading.vehicle != 1:
         vehicles = np.append(_whose(posterior), reading.vehicle)

@@ -4,6 +4,7 @@ missions, repeatability.
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -126,3 +127,48 @@ def test_the_same_readings_and_seed_give_the_same_bits_and_another_seed_does_not
 
     assert final(1) == final(1)
     assert final(1) != final(2)
+
+
+@pytest.mark.parametrize(
+    ("knowledge", "said"),
+    [
+        ({"particles": 0}, "particles 0 is not allowed; wanted a whole number from 1 to 1000000"),
+        ({"particles": -5}, "particles -5 is not allowed; wanted a whole number from 1 to "),
+        ({"seed": -1}, "seed -1 is not allowed; wanted a whole number from 0 to "),
+        ({"seed": 1.5}, "seed 1.5 is not allowed; wanted a whole number from 0 to "),
+        ({"rate": -5.0}, "rate -5.0 is not allowed; wanted a number above 0 up to "),
+        ({"rate": "300"}, "rate '300' is not allowed; wanted a number above 0 up to "),
+        ({"lifetime": -3}, "lifetime -3 is not allowed; wanted a number above 0 up to "),
+        ({"lifetime": math.inf}, "lifetime inf is not allowed; wanted a number above 0 up to "),
+        ({"diffusivity": 0}, "diffusivity 0 is not allowed; wanted a number above 0 up to "),
+        ({"diffusivity": math.nan}, "diffusivity nan is not allowed; wanted a number above 0 up to "),
+        ({"threshold_m": math.nan}, "threshold_m nan is not allowed; wanted a number above 0 up to 100"),
+        ({"threshold_m": -1}, "threshold_m -1 is not allowed; wanted a number above 0 up to 100"),
+        ({"within": (0, 2)}, "within: R 0 is not allowed; wanted a number above 0 up to 100"),
+        ({"within": (1, 2)}, "within: P 2 is not allowed; wanted a number above 0 up to 1"),
+        ({"within": (1,)}, r"within \(1,\) is not allowed; wanted \(R, P\), metres and a share"),
+        ({"within": 1}, r"within 1 is not allowed; wanted \(R, P\), metres and a share"),
+    ],
+)
+def test_what_no_estimator_can_be_told_is_refused_in_a_line(knowledge: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=f"^{said}"):
+        Config(**knowledge)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"gas": math.nan},
+        {"gas": math.inf},
+        {"position": (math.nan, 3.0)},
+        {"altitude_m": math.inf},
+        {"wind": (1.0, -math.inf)},
+    ],
+)
+def test_a_reading_that_is_not_finite_is_refused_and_changes_nothing(changes: dict[str, Any]) -> None:
+    config, reading = Config(50), Reading(0, (8.0, 9.0), 5.0, (1.5, -0.5), 1.3)
+    before = assimilate(prior(config), reading, config)
+    kept = [array.copy() for array in (*before.sample, before.readings, before.ranks)]
+    with pytest.raises(ValueError, match=r"^Reading\(.+\) is not allowed; wanted finite numbers$"):
+        assimilate(before, reading._replace(time_boot_ms=1, **changes), config)
+    assert all(map(np.array_equal, (*before.sample, before.readings, before.ranks), kept))
