@@ -3,6 +3,7 @@
 import argparse
 import ast
 import inspect
+import os
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import EntryPoint, entry_points
@@ -74,6 +75,11 @@ def _about(plugin: EntryPoint) -> str:
     except Exception as error:  # it may be anybody's code
         about = f"does not load: {type(error).__name__}: {_short(str(error))}"
     return f"{about.partition(chr(10))[0]} [plug-in {plugin.value}]".lstrip()
+
+
+def name_of(said: str | os.PathLike[str]) -> str:
+    """Return the name of a policy that is given by its name or as a path."""
+    return os.fsdecode(said) if isinstance(said, os.PathLike) else said
 
 
 def check(name: str) -> None:

@@ -1,10 +1,11 @@
 """The figures of policies over many missions, for Python; `plumeward evaluate` is the same for shells."""
 
+import os
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 from typing import Any
 
-from agent.policies import DEFAULT, policy
+from agent.policies import DEFAULT, name_of, policy
 from agent.trials.evaluate import FIRST_TEST_SEED, MOST_SCENARIOS, MOST_WORKERS, named
 from agent.trials.rollout import check as check_knowledge
 from agent.trials.rollout import check_policy
@@ -20,7 +21,7 @@ from plume.randomness import MAX_SEED
 
 
 def evaluate(
-    policies: str | Sequence[str] = DEFAULT,
+    policies: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = DEFAULT,
     scenarios: int = 100,
     *,
     first_seed: int = FIRST_TEST_SEED,
@@ -28,7 +29,7 @@ def evaluate(
     threshold_m: float | None = None,
     budget: int | None = None,
     workers: int = 1,
-    problem: Problem | str = PAPER,
+    problem: Problem | str | os.PathLike[str] = PAPER,
     world: str | Sequence[str] | None = None,
     assume: str = "field",
     stop: str | None = None,
@@ -78,7 +79,7 @@ def evaluate(
         (1.0, 34.2)
     """
     searched = with_arguments(problem, budget=budget)
-    names, worlds = _each(policies), _each(searched.world if world is None else world)
+    names, worlds = _each(map(name_of, _each(policies))), _each(searched.world if world is None else world)
     if not names or not worlds:
         raise ValueError("wanted one policy and one world at least")
     for name in names:

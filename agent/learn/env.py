@@ -5,6 +5,7 @@
 `gymnasium.make_vec` makes many at once.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -63,7 +64,7 @@ class Settings:
     world: str | None = None
     assume: str = "paper"  # the shipped policies learned with it
     stop: str | None = None  # None, with a `threshold_m` of None: the problem's
-    problem: str | Problem | Mapping[str, Any] = "paper"
+    problem: str | os.PathLike[str] | Problem | Mapping[str, Any] = "paper"
 
     def __post_init__(self) -> None:
         if not isinstance(self.continuous, bool | np.bool_):

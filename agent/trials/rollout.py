@@ -1,5 +1,6 @@
 """A mission flown in-process, without the network, with bit-identical results."""
 
+import os
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -183,13 +184,13 @@ def _steps(
 
 def rollout(
     seed: int,
-    policy: str = DEFAULT,
+    policy: str | os.PathLike[str] = DEFAULT,
     particles: int = 1000,
     threshold_m: float | None = None,
     budget: int | None = None,
     moves: Mapping[str, float] = OWN_MOVES,
     *,
-    problem: Problem | str = PAPER,
+    problem: Problem | str | os.PathLike[str] = PAPER,
     world: str | None = None,
     assume: str = "field",
     stop: str | None = None,
@@ -241,6 +242,7 @@ def rollout(
     searched = with_arguments(problem, budget=budget, world=world)
     criterion = chosen(threshold_m, stop, searched.stop)
     check(assume, knowledge)
+    policy = policies.name_of(policy)
     check_policy(policy, moves, searched)
     seed, particles = whole("seed", seed, 0, MAX_SEED), whole("particles", particles, *PARTICLES)
     knowledge |= {"assume": assume, "within": criterion.within}

@@ -32,19 +32,21 @@ MOST_VALUES = 20_000  # of a file, with every alias expanded: ten short lines ca
 FIELDS = Problem.__struct_fields__
 
 
-def named(said: "str | Problem | Mapping[str, Any]") -> Problem:
+def named(said: "str | os.PathLike[str] | Problem | Mapping[str, Any]") -> Problem:
     """Return the problem of a name, a file, a JSON text, or fields. Raises ValueError, one line."""
     if isinstance(said, Problem):
         check(said)
         return said
     if isinstance(said, Mapping):
         return _made(dict(said))
+    if isinstance(said, os.PathLike):
+        said = os.fsdecode(said)
     if not isinstance(said, str):
         raise ValueError(f"problem {said!r:.60} is not allowed; wanted {FORMS}")
     return _of(said) if said in PROBLEMS or said.lstrip().startswith("{") else of_file(said)
 
 
-def with_arguments(problem: "str | Problem | Mapping[str, Any]", **given: Any) -> Problem:
+def with_arguments(problem: "str | os.PathLike[str] | Problem | Mapping[str, Any]", **given: Any) -> Problem:
     """Return a problem with the fields that are given, not None. Raises ValueError."""
     changes = {name: value for name, value in given.items() if value is not None}
     return named(named(problem).changed(**changes)) if changes else named(problem)

@@ -13,6 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -295,6 +296,19 @@ def test_seeds_are_whole_numbers_that_a_key_can_hold(seed: Any) -> None:
 def test_moves_are_those_that_a_command_allows(moves: Any, said: str) -> None:
     with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
         plumeward.rollout(1, moves=moves)
+
+
+def test_problems_and_bundles_are_taken_by_their_paths(tmp_path: Path) -> None:
+    field, bundle = tmp_path / "field.yaml", ROOT / "agent" / "bundles" / "ppo.zip"
+    field.write_text("budget: 3")
+    few: dict[str, Any] = {"particles": 50, "assume": "paper"}
+    by_path, _ = plumeward.rollout(1, bundle, problem=field, **few)
+    assert (by_path.policy, by_path.steps) == (str(bundle), 3)
+    assert plumeward.evaluate([bundle, "homing"], 1, problem=field, **few).keys() == {str(bundle), "homing"}
+    assert plumeward.evaluate(bundle, 1, problem=field, **few).keys() == {str(bundle)}
+    env = gymnasium.make("plumeward/SourceSearch-v0", problem=field, particles=50)
+    env.reset(seed=1, options={"problem": field})
+    assert [env.step(0)[3] for _ in range(3)] == [False, False, True]
 
 
 @pytest.mark.parametrize("policy", [None, 5, "hommer"], ids=str)

@@ -94,5 +94,10 @@ def test_a_name_that_is_none_says_what_is_allowed(tmp_path: Path) -> None:
         named(str(tmp_path / "huge.yaml"))
 
 
+def test_a_file_may_be_given_as_a_path(tmp_path: Path) -> None:
+    (tmp_path / "field.yaml").write_text("step_m: 2")
+    assert named(tmp_path / "field.yaml") == with_arguments(tmp_path / "field.yaml") == Problem(step_m=2)
+
+
 def test_an_argument_comes_before_the_problem() -> None:
     assert with_arguments(FIELD, budget=7, world=None) == FIELD.changed(budget=7)
