@@ -97,18 +97,7 @@ def nearest(
 def draw(seed: int, problem: "Problem | None" = None) -> Scenario:
     """Draw a scenario of a problem, by default of the paper's training and test distribution (Table 1).
 
-    Args:
-        seed: A whole number from 0. The same seed gives the same scenario; test scenarios are the seeds
-            from 1,000,000 on.
-        problem: Where the source and the start are, and the release's distributions.
-
-    Returns:
-        The release, the wind and the start of the search. It holds the true source.
-
-    Examples:
-        >>> x, y = plumeward.draw(7).source  # of mission 7, m
-        >>> round(x, 2), round(y, 2)
-        (23.31, 24.19)
+    The same seed, a whole number from 0 to `MAX_SEED`, gives the same scenario.
     """
     low, high = problem.spans if problem else TABLE_1
     x, y, q, u, phi, d, start_x, start_y = uniform(keyed(seed, "scenario"), low, high).tolist()

@@ -33,9 +33,10 @@ if TYPE_CHECKING:
     from link.record.reader import read as read_record
     from plume.outcome import Outcome, TracePoint
     from plume.problem import Area, PriorPart, Problem
-    from plume.scenario import Scenario, draw
+    from plume.scenario import Scenario
     from plume.worlds.world import World
     from plumeward.evaluation import evaluate
+    from plumeward.scenarios import draw
 
 # The module of each name of the API, and its name there if it differs.
 WHERE = {
@@ -46,7 +47,7 @@ WHERE = {
     "Area": "plume.problem",
     "PriorPart": "plume.problem",
     "Scenario": "plume.scenario",
-    "draw": "plume.scenario",
+    "draw": "plumeward.scenarios",
     "World": "plume.worlds.world",
     "Config": "estimator.filter",
     "prior": "estimator.filter",

@@ -266,6 +266,8 @@ def test_what_a_command_refuses_functions_refuse_in_a_line(name: str, value: Any
 def test_seeds_are_whole_numbers_that_a_key_can_hold(seed: Any) -> None:
     with pytest.raises(ValueError, match=f"^{re.escape(f'seed {seed!r} is not allowed; wanted {SEEDS}')}$"):
         plumeward.rollout(seed)
+    with pytest.raises(ValueError, match=f"^{re.escape(f'seed {seed!r} is not allowed; wanted {SEEDS}')}$"):
+        plumeward.draw(seed)
     line = f"first_seed {seed!r} is not allowed; wanted a whole number from 0 to {2**63 - 2}"
     with pytest.raises(ValueError, match=f"^{re.escape(line)}$"):
         plumeward.evaluate("homing", 2, first_seed=seed)
@@ -296,6 +298,19 @@ def test_seeds_are_whole_numbers_that_a_key_can_hold(seed: Any) -> None:
 def test_moves_are_those_that_a_command_allows(moves: Any, said: str) -> None:
     with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
         plumeward.rollout(1, moves=moves)
+
+
+def test_a_scenario_is_drawn_of_a_problem_however_it_is_said(tmp_path: Path) -> None:
+    field, fields = tmp_path / "field.yaml", {"q": [20, 30], "u": 2}
+    field.write_text("q: [20, 30]\nu: 2")
+    drawn = plumeward.draw(5, plumeward.Problem(q=(20, 30), u=2))
+    assert 20 <= drawn.q <= 30
+    assert drawn.u == 2
+    for said in (fields, json.dumps(fields), field, str(field)):
+        assert plumeward.draw(5, said) == drawn
+    assert plumeward.draw(5, "paper") == plumeward.draw(5)
+    with pytest.raises(ValueError, match=r"^problem 5 is not allowed; wanted paper, a YAML file"):
+        plumeward.draw(5, 5)  # type: ignore[arg-type]
 
 
 def test_problems_and_bundles_are_taken_by_their_paths(tmp_path: Path) -> None:
