@@ -249,7 +249,7 @@ def choose(name: str, belief: Belief, particles: Particles, seed: int, within: R
     seen = np.asfortranarray(particles).view()
     seen.flags.writeable = False
     try:
-        said = decide(belief, seen, within, keyed(seed, name, belief.step))
+        said: object = decide(belief, seen, within, keyed(seed, name, belief.step))
     except Exception as error:  # it may be anybody's code
         where = traceback.extract_tb(error.__traceback__)[-1]
         raise PolicyError(
@@ -260,6 +260,8 @@ def choose(name: str, belief: Belief, particles: Particles, seed: int, within: R
         place = np.asarray(said, np.float64)
     except (TypeError, ValueError):
         place = np.empty(0)
+    except OverflowError as error:  # an integer so long that Python may not even write it
+        place, said = np.empty(0), error
     if place.shape != (2,) or not np.isfinite(place).all():
         raise PolicyError(f"policy {name} said {_short(repr(said))}; wanted a waypoint (x, y) in metres")
     x, y = within.wire.clipped(place).astype(np.float32).tolist()

@@ -393,6 +393,15 @@ def test_what_is_no_place_is_refused_in_one_line(
     assert repr(eval(said, {})) in str(refused.value)
 
 
+@pytest.mark.parametrize("digits", [400, 5000])
+def test_a_number_that_no_float_holds_is_refused_in_one_line(
+    plug: Plug, seen: tuple[Belief, Particles], digits: int
+) -> None:
+    plug(f"def theirs(belief, particles, reach, rng): return 10**{digits}, 1")
+    with pytest.raises(PolicyError, match=r"^policy theirs said .*too large.*; wanted a waypoint \(x, y\)"):
+        choose("theirs", *seen, 0, Reach())
+
+
 def test_even_a_long_answer_makes_a_short_line(plug: Plug, seen: tuple[Belief, Particles]) -> None:
     plug("import numpy as np\ndef theirs(belief, particles, reach, rng): return np.zeros((100, 3))")
     with pytest.raises(PolicyError) as refused:
