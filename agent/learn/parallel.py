@@ -1,6 +1,7 @@
 """The PettingZoo environment of a fleet that searches together (docs/environment.md)."""
 
 import math
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -75,8 +76,9 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
         Seeds and the option `problem` are those of `SourceSearch.reset`, which says what it raises. Other
         options have no effect: PettingZoo's own test gives one.
         """
-        known = {name: value for name, value in (options or {}).items() if name == "problem"}
-        searching = with_options(self.settings, known)
+        if isinstance(options, Mapping):
+            options = {name: value for name, value in options.items() if name == "problem"}
+        searching = with_options(self.settings, options)
         fleet = self.fleet.within(searching.searched)
         if seed is not None:
             seed = checked_seed(seed)

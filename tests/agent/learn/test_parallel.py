@@ -64,6 +64,7 @@ def test_a_reset_without_options_is_of_the_usual_problem_again() -> None:
     [
         ({"problem": {"step_m": 20}}, "problem: step_m: 20.0 is not allowed"),
         ({"problem": 3}, "problem: problem 3 is not allowed"),
+        ("x", "options 'x' are not allowed; wanted none, or {'problem': …}"),
         ({"problem": "anywhere"}, "problem 'anywhere' is "),
         (
             {"problem": {"area": {"low": [0, 0], "high": [3, 3]}}},
