@@ -31,28 +31,28 @@ CORNERS = ((0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.0), (0.5, 1.0
 
 @dataclass(frozen=True)
 class Fleet:
-    """Vehicles that search together. Raises ValueError on what is not allowed."""
+    """Vehicles that search together. Raises ValueError, which begins with the field."""
 
     vehicles: int = 1
     formation: str = "point"  # of FORMATIONS
     separation_m: float = SEPARATION_M  # least distance between the ways of two vehicles, m
 
     def __post_init__(self) -> None:
-        whole("--vehicles:", self.vehicles, 1, MOST_VEHICLES)
+        whole("vehicles", self.vehicles, 1, MOST_VEHICLES)
         if not isinstance(self.formation, str) or self.formation not in FORMATIONS:
-            raise ValueError(f"--from: {self.formation!r} is not allowed; wanted {', '.join(FORMATIONS)}")
-        number("--separation:", self.separation_m, 0, FARTHEST_APART_M)
+            raise ValueError(f"formation {self.formation!r} is not allowed; wanted {', '.join(FORMATIONS)}")
+        number("separation_m", self.separation_m, 0, FARTHEST_APART_M)
 
     def within(self, problem: Problem) -> "Fleet":
         """Return it. Raises ValueError if a problem does not let it start so."""
         if problem.start is not None and self.formation != "point":
             raise ValueError(
-                f"--from: {self.formation!r} is not allowed; the problem has a start: wanted point"
+                f"formation {self.formation!r} is not allowed; the problem has a start: wanted point"
             )
         room_m = self._room_m(problem)
         if self.separation_m > room_m:
             raise ValueError(
-                f"--separation: {self.separation_m:g} is not allowed; {self.vehicles} vehicles from "
+                f"separation_m {self.separation_m:g} is not allowed; {self.vehicles} vehicles from "
                 f"{self.formation} have room for 0 to {math.floor(100 * room_m) / 100:g} m"
             )
         return self

@@ -9,6 +9,8 @@ from plume.problem import PAPER, PARTS, Problem, square
 from plume.problems.fleet import ALONE, FARTHEST_APART_M, FORMATIONS, MOST_VEHICLES, Fleet
 from plume.problems.names import ABOUT, named
 
+# The flag of each field of a fleet.
+FLEET_FLAGS = {"vehicles": "--vehicles", "formation": "--from", "separation_m": "--separation"}
 # The fields that flags of other names override.
 FLAGS = {"sensor": "sensor", "dwell": "dwell_s", "step": "step_m", "budget": "budget"}
 
@@ -81,7 +83,11 @@ def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
 
 def fleet_given(args: argparse.Namespace, problem: Problem) -> Fleet:
     """Return what the flags of `add_fleet_arguments` say, within the problem. Raises ValueError."""
-    return Fleet(args.vehicles, args.formation, args.separation).within(problem)
+    try:
+        return Fleet(args.vehicles, args.formation, args.separation).within(problem)
+    except ValueError as error:
+        field, _, said = str(error).partition(" ")
+        raise ValueError(f"{FLEET_FLAGS[field]}: {said}") from None
 
 
 def _ranged(kind: Callable[[str], float], low: float, high: float, what: str) -> Callable[[str], float]:

@@ -7,7 +7,7 @@ from link import cli
 from link.cli import BadInput
 from plume.problems.fleet import Fleet
 from plume.problems.names import PROBLEMS
-from plume.problems.options import add_problem_argument
+from plume.problems.options import FLEET_FLAGS, add_problem_argument
 from plume.randomness import MAX_SEED
 from plume.scenario import AS_MODELLED
 from plume.sensors import names as sensor
@@ -195,8 +195,8 @@ def fleet_of(args: argparse.Namespace, script: Script) -> Fleet:
     try:
         return script.together()
     except ValueError as error:
-        flag, _, reason = str(error).partition(": ")
-        raise blamed(args, flag, reason) from None
+        field, _, reason = str(error).partition(" ")
+        raise blamed(args, FLEET_FLAGS[field], reason) from None
 
 
 def blamed(args: argparse.Namespace, flag: str, reason: str) -> BadInput:

@@ -323,7 +323,7 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return msgspec.structs.replace(draw(self.seed, self.problem), **given)
 
     def together(self) -> Fleet:
-        """Return the vehicles that fly it. Raises ValueError, with the flag, if they cannot start so."""
+        """Return the vehicles that fly it. Raises ValueError, with the field, if they cannot start so."""
         part = self.fleet
         return Fleet(part.vehicles, part.formation, part.separation_m).within(self.problem)
 

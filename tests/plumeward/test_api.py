@@ -249,7 +249,7 @@ NUMBERS: list[tuple[str, Any, str]] = [
     ("budget", "3", "budget: '3' is not allowed; wanted "),
     ("budget", 0, "budget: 0 is not allowed; wanted "),
     ("world", 5, "world: 5 is not allowed; wanted "),
-    ("vehicles", 2.5, "--vehicles: 2.5 is not allowed; wanted a whole number from 1 to 8"),
+    ("vehicles", 2.5, "vehicles 2.5 is not allowed; wanted a whole number from 1 to 8"),
     ("assume", None, "assume None is not allowed; wanted paper or field"),
 ]
 

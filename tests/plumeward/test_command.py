@@ -271,6 +271,14 @@ WRONG = [
         ["evaluate", "--prior", "q=normal:-7.9,1"],
         "plumeward evaluate: error: --prior: the prior of q excludes nearly every possible value",
     ),
+    (
+        ["rollout", "--vehicles", "4", "--from", "edge", "--separation", "9"],
+        "plumeward rollout: error: --separation: 9 is not allowed; 4 vehicles from edge have room for 0 to 7.5 m",
+    ),
+    (
+        ["rollout", "--vehicles", "2", "--from", "edge", "--problem", '{"start": [1, 2]}'],
+        "plumeward rollout: error: --from: 'edge' is not allowed; the problem has a start: wanted point",
+    ),
     (["fly", "--headings", "5"], "plumeward fly: error: --headings: 5 is not allowed; wanted 4 or 8"),
     (
         ["rollout", "--policy", "hommer"],

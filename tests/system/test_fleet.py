@@ -109,7 +109,10 @@ def test_in_gas_that_moves_three_vehicles_on_the_clock_read_the_same_as_in_proce
             ("--vehicles", "2", "--from", "nowhere"),
             "--from: 'nowhere' is not allowed; wanted point, edge or corners",
         ),
-        (("--vehicles", "4", "--from", "edge", "--separation", "9"), "have room for 0 to 7.5 m"),
+        (
+            ("--vehicles", "4", "--from", "edge", "--separation", "9"),
+            "--separation: 9 is not allowed; 4 vehicles from edge have room for 0 to 7.5 m",
+        ),
         (("--vehicles", "2", "lawnmower"), "lawnmower, cannot happen: it is for one vehicle"),
     ],
 )

@@ -68,7 +68,7 @@ def test_a_reset_without_options_is_of_the_usual_problem_again() -> None:
         ({"problem": "anywhere"}, "problem 'anywhere' is "),
         (
             {"problem": {"area": {"low": [0, 0], "high": [3, 3]}}},
-            "--separation: 3 is not allowed; 2 vehicles",
+            "separation_m 3 is not allowed; 2 vehicles",
         ),
     ],
 )
@@ -96,18 +96,18 @@ def test_its_seeds_are_those_of_the_single_environment() -> None:
     ("settings", "said"),
     [
         *(
-            ({"vehicles": value}, f"--vehicles: {value!r} is not allowed; wanted a whole number from 1 to 8")
+            ({"vehicles": value}, f"vehicles {value!r} is not allowed; wanted a whole number from 1 to 8")
             for value in (2.5, "2", True, 0, None)
         ),
         *(
             (
                 {"separation_m": value},
-                f"--separation: {value!r} is not allowed; wanted a number from 0 up to 100",
+                f"separation_m {value!r} is not allowed; wanted a number from 0 up to 100",
             )
             for value in ("3", True, -1, math.nan, math.inf, None)
         ),
-        ({"formation": 3}, "--from: 3 is not allowed; wanted point, edge, corners"),
-        ({"formation": ["point"]}, "--from: ['point'] is not allowed; wanted point, edge, corners"),
+        ({"formation": 3}, "formation 3 is not allowed; wanted point, edge, corners"),
+        ({"formation": ["point"]}, "formation ['point'] is not allowed; wanted point, edge, corners"),
     ],
 )
 def test_a_fleet_that_is_none_is_refused_in_a_line(settings: dict[str, Any], said: str) -> None:
@@ -139,7 +139,7 @@ def test_vehicles_never_come_nearer_than_the_separation() -> None:
 
 
 def test_wrong_actions_and_settings_are_refused_and_move_nobody() -> None:
-    with pytest.raises(ValueError, match="--vehicles"):
+    with pytest.raises(ValueError, match="^vehicles 9"):
         SourceSearchParallel(vehicles=9)
     with pytest.raises(TypeError, match="vehicles, formation, separation_m, "):
         SourceSearchParallel(colour="red")

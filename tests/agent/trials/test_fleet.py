@@ -52,7 +52,7 @@ def test_a_vehicles_start_does_not_depend_on_how_many_follow() -> None:
 
 @pytest.mark.parametrize("given", [(0,), (9,), (2, "nowhere"), (2, "point", -1.0), (4, "edge", 7.6)])
 def test_a_fleet_that_cannot_start_is_refused_in_one_line(given: tuple) -> None:
-    with pytest.raises(ValueError, match=r"^--(vehicles|from|separation): .* (wanted|room)") as refusal:
+    with pytest.raises(ValueError, match=r"^(vehicles|formation|separation_m) .* (wanted|room)") as refusal:
         Fleet(*given).within(PAPER)
     assert "\n" not in str(refusal.value)
 
