@@ -82,11 +82,15 @@ def test_at_the_limits_of_what_may_be_given_gas_and_belief_stay_finite(kind: str
             assert 0 <= belief(posterior, reading, config)[0].spread < 30, release
 
 
-def test_where_readings_are_lost_the_values_taken_later_are_the_same() -> None:
-    assert (
-        rollout(4, "homing", particles=100, budget=30, world="readings-lost")[1]
-        == rollout(4, "homing", particles=100, budget=30)[1]
+@pytest.mark.parametrize(("sensor", "alike"), [("gaussian", True), ("pid", False)])
+def test_where_readings_are_lost_the_values_taken_later_are_the_same_unless_the_sensor_lags(
+    sensor: str, alike: bool
+) -> None:
+    lost, usual = (
+        rollout(4, "homing", 100, budget=30, world=world, sensor=parse(sensor))[1]
+        for world in ("readings-lost", AS_MODELLED)
     )
+    assert (lost == usual) is alike
 
 
 def test_a_world_that_is_none_is_told_with_those_that_are() -> None:
