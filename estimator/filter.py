@@ -20,7 +20,7 @@ from link.bus.mavlink import Reading
 from link.cli import FARTHEST_OUT_M, PARTICLES
 from plume.elementary import Array, Indices
 from plume.flight import leg_s
-from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
+from plume.parameters import KNOWN, MEASURED, MOST, NEUTRAL, PARAMETERS
 from plume.polygons.parts import numbered_sides
 from plume.problem import AREA, Area, Fenced, PriorParts
 from plume.problems.values import number, short, whole
@@ -79,7 +79,7 @@ class Config:
         whole("particles", self.particles, 1, PARTICLES[1])
         whole("seed", self.seed, 0, MAX_SEED)
         for name in ("rate", "diffusivity", "lifetime"):
-            number(name, getattr(self, name), 0, sys.float_info.max, above=True)
+            number(name, getattr(self, name), 0, MOST, above=True)
         number("threshold_m", self.threshold_m, 0, WIDEST_M, above=True)
         if self.within is not None:
             if not isinstance(self.within, Sequence) or len(self.within) != 2:

@@ -139,7 +139,7 @@ def test_vehicles_never_come_nearer_than_the_separation() -> None:
 
 
 def test_wrong_actions_and_settings_are_refused_and_move_nobody() -> None:
-    with pytest.raises(ValueError, match="^vehicles 9"):
+    with pytest.raises(ValueError, match=r"^vehicles 9"):
         SourceSearchParallel(vehicles=9)
     with pytest.raises(TypeError, match="vehicles, formation, separation_m, "):
         SourceSearchParallel(colour="red")
