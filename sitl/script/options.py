@@ -11,6 +11,7 @@ from plume.problems.options import FLEET_FLAGS, add_problem_argument
 from plume.randomness import MAX_SEED
 from plume.scenario import AS_MODELLED
 from plume.sensors import names as sensor
+from plume.worlds.air import NoRelease
 from plume.worlds.names import ABOUT, check, kinds
 from sitl.script.script import Script, VehiclePart, check_places, find, load, shipped
 from sitl.script.typed_yaml import Document
@@ -128,6 +129,10 @@ def script_of(args: argparse.Namespace) -> Script:
         field, _, said = str(error).partition(": ")
         flag = {"step_m": "step", "budget": "budget"}.get(field, "")
         raise BadInput(f"--{flag}: {said}" if flag in given else f"--problem: {error}") from None
+    try:
+        script.simulated()
+    except NoRelease as error:
+        raise blamed(args, "--world", str(error)) from None
     if args.mission:
         check_places(Document(find(args.mission)), script)
     if script.agent.policy == "none" and not script.scripted():

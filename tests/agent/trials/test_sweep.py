@@ -280,6 +280,19 @@ def test_rows_of_another_problem_stay_in_the_table(tmp_path: Path, monkeypatch: 
     assert (wide.problem, paper.problem) == ('{"area":{"low":[-20.0,0.0],"high":[80.0,50.0]}}', "paper")
 
 
+@pytest.mark.parametrize("command", ["rollout", "evaluate --scenarios 2 --workers 1"])
+def test_a_source_inside_a_building_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "inside.yaml").write_text("source: [7.5, 10]")
+    flags = "--problem inside.yaml --world walls:file=courtyard"
+    assert main(arguments=[*command.split(), *flags.split()]) == 2
+    said = capsys.readouterr().err
+    assert said.endswith("error: the source (7.5, 10) is inside a building; wanted one in the open\n")
+    assert "Traceback" not in said
+
+
 def test_a_row_answers_a_sweep_of_its_own_settings_alone() -> None:
     few = replace(SMALL, particles=(50,), seeds=range(7, 8), stops=SMALL.stops[:1], budget=1)
     sweeps = [

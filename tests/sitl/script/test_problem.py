@@ -146,3 +146,10 @@ def test_a_script_may_not_send_its_vehicle_through_what_is_kept_out_of(
 ) -> None:
     with pytest.raises(BadInput, match=said):
         load(written(tmp_path, KEPT_OUT + more))
+
+
+@pytest.mark.parametrize("part", ["problem", "scenario"])
+def test_a_script_may_not_put_its_source_inside_a_building(part: str, tmp_path: Path) -> None:
+    path = written(tmp_path, f"world: walls:file=courtyard\n{part}: {{source: [7.5, 10]}}")
+    with pytest.raises(BadInput, match=r"field.yaml:1: world: the source \(7.5, 10\) is inside a building"):
+        of(str(path))
