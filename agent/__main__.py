@@ -20,7 +20,7 @@ from plume.problem import FARTHEST_M
 from plume.problems.fleet import FARTHEST_APART_M
 from plume.problems.options import add_problem_argument, problem_of
 from plume.randomness import MAX_SEED
-from plume.scenario import SEPARATION_M, WorldError
+from plume.scenario import SEPARATION_M, BrokenFile, WorldError
 from plume.worlds.air import NoRelease
 
 # Commands with a module of their own. It is imported only for its command: a service starts fast and knows
@@ -173,7 +173,7 @@ def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> i
         if args.command in OTHERS:
             return int(_module(args.command).run(args))
         (_rollout if args.command == "rollout" else _serve)(args)
-    except (cli.BadInput, NoRelease) as error:
+    except (cli.BadInput, NoRelease, BrokenFile) as error:
         return cli.failed(error, cli.BAD_INPUT)
     except (PolicyError, WorldError) as error:
         if error.__cause__:

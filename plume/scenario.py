@@ -44,6 +44,10 @@ class WorldError(ValueError):
     """A world could not be asked, or said what no air can say; the text is one line."""
 
 
+class BrokenFile(WorldError):
+    """A file of one of our worlds is wrong or cut off; the text is one line."""
+
+
 class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
     """One gas release. It holds the true source: never give it to code that estimates or plans.
 

@@ -16,7 +16,7 @@ from plume.elementary import Array, direction, float32
 from plume.flight import usual_s
 from plume.problem import PAPER, Problem
 from plume.randomness import Abreast, Keyed, derived_seed, keyed, seed_of, uniform
-from plume.scenario import AS_MODELLED, Scenario, WorldError, draw
+from plume.scenario import AS_MODELLED, BrokenFile, Scenario, WorldError, draw
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import GAUSSIAN, Sensor
 from plume.sensors.sensor import Hits, Threshold
@@ -334,6 +334,8 @@ def _asked_along(world: World, places: Array, times_s: Array) -> tuple[Array, Ar
         gas = np.asarray(said[0], np.float64).reshape(len(places))
         winds = np.asarray(said[1], np.float64).reshape(len(places), 2)
     except Exception as error:
+        if isinstance(error, ValueError) and named(world.name).make.__module__.startswith("plume."):
+            raise BrokenFile(str(error)) from None
         where = traceback.extract_tb(error.__traceback__)[-1]
         raise WorldError(
             f"world {world.name} failed: {type(error).__name__}: {' '.join(str(error).split())[:200]} "

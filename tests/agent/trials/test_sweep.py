@@ -3,6 +3,7 @@
 import gzip
 import itertools
 import math
+import re
 import tracemalloc
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -29,6 +30,7 @@ from plume.problems.names import named as named_problem
 from plume.scenario import draw
 from plume.sensors.sensor import Hits
 from plume.worlds.world import World
+from tests.plume.recorded import writers
 
 ROOT = Path(__file__).parents[3]
 pytestmark = pytest.mark.slow
@@ -280,7 +282,10 @@ def test_rows_of_another_problem_stay_in_the_table(tmp_path: Path, monkeypatch: 
     assert (wide.problem, paper.problem) == ('{"area":{"low":[-20.0,0.0],"high":[80.0,50.0]}}', "paper")
 
 
-@pytest.mark.parametrize("command", ["rollout", "evaluate --scenarios 2 --workers 1"])
+ROLLED_OUT, EVALUATED = "rollout", "evaluate --scenarios 2 --workers 1"
+
+
+@pytest.mark.parametrize("command", [ROLLED_OUT, EVALUATED])
 def test_a_source_inside_a_building_is_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
@@ -290,6 +295,21 @@ def test_a_source_inside_a_building_is_refused_in_one_line(
     assert main(arguments=[*command.split(), *flags.split()]) == 2
     said = capsys.readouterr().err
     assert said.endswith("error: the source (7.5, 10) is inside a building; wanted one in the open\n")
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("command", [ROLLED_OUT, EVALUATED])
+def test_a_recorded_plume_that_is_cut_off_within_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    movie = writers.zarr(Path("m.zarr"), np.ones((6, 30, 30)), chunks=(1, 30, 30))
+    for frame in range(1, 6):
+        (movie / "concentration" / f"{frame}.0.0").write_bytes(bytes(100))
+    world = "recorded:file=m.zarr,fps=2,source_x=2,source_y=40,wind=180"
+    assert main(arguments=[*command.split(), "--world", world]) == 2
+    said = capsys.readouterr().err
+    assert re.search(r"error: m\.zarr/concentration/\d\.0\.0: 100 bytes; wanted 7,200 of a chunk\n$", said)
     assert "Traceback" not in said
 
 
