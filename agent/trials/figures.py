@@ -87,6 +87,8 @@ class MissionRow(msgspec.Struct, frozen=True):
     separation_m: float | None = None  # least distance between the ways of two vehicles; None of one alone
     # Readings after which the search was found to repeat itself; None in older files.
     stalls: int | None = None
+    # Digest of the bundle, the plug-ins and the world's files that flew it; None without, and in older files.
+    files: str | None = None
 
     @property
     def false_stop(self) -> bool:

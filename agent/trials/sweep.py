@@ -68,6 +68,14 @@ class Sweep:
         """Number of flights."""
         return len(self.seeds) * len(self.policies) * len(self.particles) * len(self.worlds)
 
+    @property
+    def files(self) -> dict[tuple[str, str], str | None]:
+        """Digests of bundles, plug-ins and files, by policy and world; None where there are none."""
+        return {
+            (policy, world): of_policy(policy) + of_world(world) or None
+            for policy, world in product(self.policies, self.worlds)
+        }
+
     def __contains__(self, flight: "Flight") -> bool:
         policy, particles, seed, world = flight
         return (
@@ -261,23 +269,29 @@ def fly_all(
     Those that have been flown come first. Each flight is added to the journal as it ends, so an interrupted
     sweep can resume.
     """
-    done = complete(sweep, there) | kept(sweep, journal)
+    done, files = complete(sweep, there) | kept(sweep, journal), sweep.files
     yield from done.values()
     left = (flight for flight in sweep.flights if flight not in done)
     tasks = (list(flights) for _, flights in groupby(left, key=lambda flight: flight[2]))
     journal.parent.mkdir(parents=True, exist_ok=True)
     with journal.open("ab", buffering=0) as file, closing(fly_tasks(sweep, tasks)) as results:
         file.write(b"\n")  # ends a line that an interrupt left incomplete
-        for rows in results:
+        for flown in results:
+            rows = [msgspec.structs.replace(row, files=files[row.policy, row.world]) for row in flown]
             file.write(msgspec.json.encode(rows) + b"\n")
             yield rows
 
 
 def complete(sweep: Sweep, rows: Iterable[MissionRow]) -> dict[Flight, list[MissionRow]]:
-    """Return the flights of a sweep that rows tell in full: flown in its way, with all its criteria."""
+    """Return the flights of a sweep that rows tell in full: flown in its way, with all its criteria.
+
+    Rows of another bundle, plug-in or file of a world tell none.
+    """
     wanted, said = [stop.text for stop in sweep.stops], dict[Flight, dict[str, MissionRow]]()
+    files = sweep.files
     for row in filter(answers(sweep), rows):
-        said.setdefault(row.flight, {})[row.criterion] = row
+        if row.files in (None, files[row.policy, row.world]):
+            said.setdefault(row.flight, {})[row.criterion] = row
     return {flight: [of[stop] for stop in wanted] for flight, of in said.items() if of.keys() >= {*wanted}}
 
 

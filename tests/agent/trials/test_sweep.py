@@ -30,6 +30,7 @@ from plume.problems.names import named as named_problem
 from plume.scenario import draw
 from plume.sensors.sensor import Hits
 from plume.worlds.world import World
+from tests.agent.test_bundle import a_bundle
 from tests.plume.recorded import writers
 
 ROOT = Path(__file__).parents[3]
@@ -311,6 +312,32 @@ def test_a_recorded_plume_that_is_cut_off_within_is_refused_in_one_line(
     said = capsys.readouterr().err
     assert re.search(r"error: m\.zarr/concentration/\d\.0\.0: 100 bytes; wanted 7,200 of a chunk\n$", said)
     assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("edited", ["bundle", "world"])
+def test_a_row_of_a_bundle_or_a_worlds_file_that_was_edited_since_is_flown_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, edited: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    corners = "buildings: [{{footprint: [[{}, 26], [29, 26], [29, 29]], height: 5}}]"
+    a_bundle(Path("a.zip"), seed=0)
+    Path("yard.yaml").write_text(corners.format(26))
+    few = Sweep(("a.zip",), range(7, 8), particles=(50,), budget=1, worlds=("walls:file=yard.yaml",))
+
+    def in_process(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Iterator[list[MissionRow]]:
+        yield from chain(*(fly(sweep, flights) for flights in tasks))
+
+    write_csv(chain(*fly_all(few, tmp_path / "journal.jsonl", in_process)), tmp_path / "missions.csv")
+    rows = read_csv(tmp_path / "missions.csv")
+    assert len(complete(few, rows)) == 1
+    if edited == "bundle":
+        a_bundle(Path("a.zip"), seed=1)
+    else:
+        Path("yard.yaml").write_text(corners.format(26.5))
+    assert not complete(few, rows)
+    assert list(map(answers(few), rows)) == [True]  # so it stays in no table beside the new one
+    older = [msgspec.structs.replace(row, files=None) for row in rows]
+    assert len(complete(few, older)) == 1
 
 
 def test_a_row_answers_a_sweep_of_its_own_settings_alone() -> None:
