@@ -156,6 +156,11 @@ def choose_problem(args: argparse.Namespace) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly the missions and print their figures; returns the exit status. Raises BadInput."""
+    if args.first_seed > (last := MAX_SEED + 1 - args.scenarios):
+        raise cli.BadInput(
+            f"--first-seed: {args.first_seed} is not allowed with --scenarios {args.scenarios}; "
+            f"wanted {last} at most"
+        )
     try:
         for name in args.policy:
             reach(name, cli.reach_given(args), args.problem)

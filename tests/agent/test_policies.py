@@ -264,6 +264,10 @@ def test_a_learned_policy_of_one_problem_refuses_that_in_one_line(tmp_path: Path
             ("--area", "20", "--waypoints", "0:1,25"),
             "'0:1,25' is not allowed; wanted STEP:X,Y;X,Y;... with places in the area, [0, 20] x [0, 20] m",
         ),
+        (
+            ("evaluate", "--first-seed", "9223372036854775807", "--scenarios", "2"),
+            "--first-seed: 9223372036854775807 is not allowed with --scenarios 2; wanted 9223372036854775806 at most",
+        ),
         (("--waypoints", "0:nan,1"), "--waypoints: '0:nan,1' is not allowed"),
         (("--waypoints=-1:2,1",), "--waypoints: '-1:2,1' is not allowed"),
     ],
