@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     folder: Path = args.out or KEPT_IN / f"{args.algorithm}-{args.preset}-{args.seed}"
     bundle = folder / f"{args.algorithm}.zip"
     try:
-        claimed = claim(folder, recipe, args.seed, bundle)
+        claimed = claim(folder, recipe, args.seed)
     except (OSError, ValueError) as error:
         raise cli.BadInput(f"--out: {error}") from error
     with claimed:

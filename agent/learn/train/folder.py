@@ -13,14 +13,14 @@ import msgspec
 from agent.learn.train.recipes import Recipe
 
 
-def claim(folder: Path, recipe: Recipe, seed: int, bundle: Path) -> IO[bytes]:
+def claim(folder: Path, recipe: Recipe, seed: int) -> IO[bytes]:
     """Reserve a folder for a run until the returned file is closed.
 
     Raises ValueError if another process trains in it or if it holds another run, and OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "recipe.json"
-    kept = [*checkpoints(folder), *([bundle] if bundle.exists() else [])]
+    kept = [*checkpoints(folder), *sorted(folder.glob("*.zip"))]
     if kept and not path.exists():
         raise ValueError(f"{str(folder)!r} holds {kept[0].name} but no recipe.json; wanted an empty folder")
     said = msgspec.json.format(msgspec.json.encode({"seed": seed, "recipe": recipe}))

@@ -459,9 +459,7 @@ def test_a_run_that_is_interrupted_before_its_first_checkpoint_says_that_it_keep
     )
     assert "holds" not in err
     assert checkpoints(tmp_path / "run") == []
-    claim(
-        tmp_path / "run", tiny("dqn", steps=200), 7, tmp_path / "run" / "dqn.zip"
-    ).close()  # and another run may begin there
+    claim(tmp_path / "run", tiny("dqn", steps=200), 7).close()  # and another run may begin there
 
 
 @pytest.mark.full
@@ -681,14 +679,14 @@ def test_one_process_at_a_time_trains_in_a_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with claim(Path("run"), PRESETS["tuned"]["ppo"], 0, Path("run/ppo.zip")):
+    with claim(Path("run"), PRESETS["tuned"]["ppo"], 0):
         ended = told(capsys, monkeypatch, "train", "ppo", "--out", "run")
     assert ended == (
         2,
         "",
         "error: --out: another process trains in 'run'; choose another folder, or wait until it ends\n",
     )
-    claim(Path("run"), PRESETS["tuned"]["ppo"], 0, Path("run/ppo.zip")).close()
+    claim(Path("run"), PRESETS["tuned"]["ppo"], 0).close()
 
 
 @pytest.mark.parametrize("name", ["ppo.zip", "checkpoint-000000100000"])
@@ -710,10 +708,20 @@ def test_a_folder_in_which_nothing_was_learned_is_free_for_another_run(tmp_path:
         b'{"seed": 3, "recipe": {}}',
     ):  # killed while it wrote, and soon after
         (tmp_path / "recipe.json").write_bytes(said)
-        claim(tmp_path, tiny("ppo"), 5, tmp_path / "ppo.zip").close()
+        claim(tmp_path, tiny("ppo"), 5).close()
         held = msgspec.json.decode((tmp_path / "recipe.json").read_bytes())
         assert (held["seed"], msgspec.convert(held["recipe"], Recipe)) == (5, tiny("ppo"))
     assert (tmp_path / "notes.txt").read_text() == "of the user"
+
+
+def test_a_folder_with_the_bundle_of_another_algorithm_keeps_its_recipe(tmp_path: Path) -> None:
+    claim(tmp_path, tiny("dqn"), 0).close()
+    (tmp_path / "dqn.zip").write_bytes(b"trained")
+    held = (tmp_path / "recipe.json").read_bytes()
+    with pytest.raises(ValueError, match="holds a run of another recipe or seed; wanted an empty folder"):
+        claim(tmp_path, tiny("ppo"), 0)
+    assert (tmp_path / "recipe.json").read_bytes() == held
+    claim(tmp_path, tiny("dqn"), 0).close()
 
 
 @pytest.mark.parametrize("broken", ["learner.zip", "replay.pkl", "state.json", "dqn.zip"])
@@ -726,7 +734,7 @@ def test_a_broken_checkpoint_or_bundle_is_named_in_one_line(
 ) -> None:
     monkeypatch.setitem(TUNED, "dqn", tiny("dqn"))
     folder = tmp_path / "run"
-    claim(folder, tiny("dqn"), 0, folder / "dqn.zip").close()
+    claim(folder, tiny("dqn"), 0).close()
     (kept,) = checkpoints(whole("dqn").folder)
     shutil.copytree(kept, folder / kept.name)
     path = folder / "dqn.zip" if broken == "dqn.zip" else folder / kept.name / broken
