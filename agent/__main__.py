@@ -20,8 +20,7 @@ from plume.problem import FARTHEST_M
 from plume.problems.fleet import FARTHEST_APART_M
 from plume.problems.options import add_problem_argument, problem_of
 from plume.randomness import MAX_SEED
-from plume.scenario import SEPARATION_M, BrokenFile, WorldError
-from plume.worlds.air import NoRelease
+from plume.scenario import SEPARATION_M, BrokenFile, NoRelease, WorldError
 
 # Commands with a module of their own. It is imported only for its command: a service starts fast and knows
 # nothing of trials.

@@ -44,6 +44,10 @@ class WorldError(ValueError):
     """A world could not be asked, or said what no air can say; the text is one line."""
 
 
+class NoRelease(ValueError):
+    """In this world gas cannot leave where the source is, as inside a building; elsewhere it can."""
+
+
 class BrokenFile(WorldError):
     """A file of one of our worlds is wrong or cut off; the text is one line."""
 

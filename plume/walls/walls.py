@@ -12,12 +12,11 @@ import numpy as np
 
 from plume.elementary import Array
 from plume.randomness import derived_seed
-from plume.scenario import Scenario
+from plume.scenario import NoRelease, Scenario
 from plume.walls.buildings import Buildings
 from plume.walls.cells import CELL_M, FREE, Cells
 from plume.walls.flow import flow_around
 from plume.walls.puff_kernels import CELL_S, STEP_S, TIME, advance, gas_at, in_the_air, releases, wind_at
-from plume.worlds.air import NoRelease
 from plume.worlds.puffs import LIFETIMES, OLDEST_S
 
 AHEAD = 5  # cells of time that are drawn at once

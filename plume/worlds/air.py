@@ -10,10 +10,6 @@ from plume.elementary import Array
 from plume.scenario import Scenario
 
 
-class NoRelease(ValueError):
-    """In this world gas cannot leave where the source is, as inside a building; elsewhere it can."""
-
-
 class Air(Protocol):
     """The gas and the wind of one mission.
 

@@ -14,8 +14,8 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple
 
 from plume.problem import PAPER, Problem
-from plume.scenario import AS_MODELLED, Scenario, draw
-from plume.worlds.air import Air, Make, NoRelease, Steady
+from plume.scenario import AS_MODELLED, NoRelease, Scenario, draw
+from plume.worlds.air import Air, Make, Steady
 from plume.worlds.errors import WRONG, Errors, combined
 
 # Where the gas of each kind is made. It is loaded when it is first asked for.

@@ -16,11 +16,11 @@ from plume.elementary import Array, direction, float32
 from plume.flight import usual_s
 from plume.problem import PAPER, Problem
 from plume.randomness import Abreast, Keyed, derived_seed, keyed, seed_of, uniform
-from plume.scenario import AS_MODELLED, BrokenFile, Scenario, WorldError, draw
+from plume.scenario import AS_MODELLED, BrokenFile, NoRelease, Scenario, WorldError, draw
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import GAUSSIAN, Sensor
 from plume.sensors.sensor import Hits, Threshold
-from plume.worlds.air import Air, Both, NoRelease, Steady, gas_of
+from plume.worlds.air import Air, Both, Steady, gas_of
 from plume.worlds.exposure import Before, is_timed, met
 from plume.worlds.names import Named, named
 

@@ -9,7 +9,7 @@ from plume.problems.fleet import Fleet
 from plume.problems.names import PROBLEMS
 from plume.problems.options import FLEET_FLAGS, add_problem_argument
 from plume.randomness import MAX_SEED
-from plume.scenario import AS_MODELLED
+from plume.scenario import AS_MODELLED, NoRelease
 from plume.sensors import names as sensor
 from plume.worlds.air import NoRelease
 from plume.worlds.names import ABOUT, check, kinds

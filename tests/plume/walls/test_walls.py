@@ -9,11 +9,10 @@ import pytest
 
 from plume.dispersion import concentration
 from plume.elementary import Array
-from plume.scenario import Scenario, draw
+from plume.scenario import NoRelease, Scenario, draw
 from plume.walls.buildings import read
 from plume.walls.cells import CELL_M, FREE, cells_of
 from plume.walls.making import walls
-from plume.worlds.air import NoRelease
 
 OPEN = Scenario(source=(15.0, 15.0), q=100.0, u=2.0, phi=0.6, d=2.0, tau=2.0, start=(1.0, 1.0))
 
