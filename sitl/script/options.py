@@ -11,7 +11,6 @@ from plume.problems.options import FLEET_FLAGS, add_problem_argument
 from plume.randomness import MAX_SEED
 from plume.scenario import AS_MODELLED, NoRelease
 from plume.sensors import names as sensor
-from plume.worlds.air import NoRelease
 from plume.worlds.names import ABOUT, check, kinds
 from sitl.script.script import Script, VehiclePart, check_places, find, load, shipped
 from sitl.script.typed_yaml import Document
