@@ -3,10 +3,12 @@ that goes and comes.
 """
 
 import math
+import os
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -27,6 +29,20 @@ from tests.autopilots.wire import Double
 SPEEDUP = 2.0
 STRETCHED = (("COM_OF_LOSS_T", 1.0 * SPEEDUP),)
 """PX4's own simulation stretches this time, too."""
+
+
+def keepers() -> list[str]:
+    """The command lines of the keepers that this process has started and that still run."""
+    pids = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    lines = [Path(f"/proc/{pid}/cmdline").read_text() for pid in pids]  # empty of one that has ended
+    return [line for line in lines if "aircraft.keeper.keeper" in line]
+
+
+@pytest.fixture(autouse=True)
+def _no_keeper_is_left(wait_until: Callable[..., None]) -> Iterator[None]:
+    """On a busy machine a keeper outlasts its connection, and would be found running in another test."""
+    yield
+    wait_until(lambda: not keepers())
 
 
 class Flown:
