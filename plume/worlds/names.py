@@ -66,9 +66,10 @@ def named(name: str) -> Named:
                 raise ValueError(f"world {part!r} is not allowed; {kind} has no parameters")
             wrong.append(kind)
             continue
+        make = _made(kind)
         if gas:
             raise ValueError(f"world {name!r} is not allowed: {gas} and {kind} are both a gas; wanted one")
-        gas, make = kind, _made(kind)
+        gas = kind
         parameters = _parameters(kind, make, numbers)
     world = Named(make, parameters, tuple(each for each in wrong if each != AS_MODELLED))
     try:
