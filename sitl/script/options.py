@@ -12,7 +12,7 @@ from plume.randomness import MAX_SEED
 from plume.scenario import AS_MODELLED, NoRelease
 from plume.sensors import names as sensor
 from plume.worlds.names import ABOUT, check, kinds
-from sitl.script.script import Script, VehiclePart, check_places, find, load, shipped
+from sitl.script.script import SAME, Script, VehiclePart, check_places, find, load, shipped
 from sitl.script.typed_yaml import Document
 
 # The field of a mission script that each flag sets.
@@ -204,9 +204,21 @@ def fleet_of(args: argparse.Namespace, script: Script) -> Fleet:
 
 
 def blamed(args: argparse.Namespace, flag: str, reason: str) -> BadInput:
-    """Return the refusal of a flag's value; where the script has set it, with the script's line and field."""
+    """Return the refusal of a flag's value.
+
+    Where the script has set it, this names the script's line and field; where a problem has, that and its
+    field.
+    """
     name = flag.removeprefix("--").replace("-", "_")
     name = "formation" if name == "from" else name
-    if args.mission and name in FIELDS and name not in args.given:
-        return Document(find(args.mission)).error(FIELDS[name].split("."), reason)
+    if name in FIELDS and name not in args.given:
+        field = FIELDS[name]
+        of_problem = next((same for same, other in SAME.items() if other == field), "")
+        if of_problem and "problem" in args.given:
+            return BadInput(f"--problem: {of_problem}: {reason}")
+        if args.mission:
+            document = Document(find(args.mission))
+            if of_problem and document.given(field) is None:
+                field = f"problem.{of_problem}"
+            return document.error(field.split("."), reason)
     return BadInput(f"{flag}: {reason}")

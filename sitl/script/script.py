@@ -481,15 +481,8 @@ def load(mission: str | Path) -> Script:
 
 def _agreed(document: Document, script: Script) -> Script:
     """Return a script whose problem and other fields say the same; the others come first. Raises BadInput."""
-
-    def given(name: str) -> Any:
-        value: Any = document.value
-        for field in name.split("."):
-            value = value.get(field) if isinstance(value, dict) else None
-        return value
-
     names = [*SAME.values(), "estimator.threshold_m"]
-    written = {name: _at(script, name) for name in names if given(name) is not None}
+    written = {name: _at(script, name) for name in names if document.given(name) is not None}
     for name, value in written.items():
         try:
             script.changed({name: value})

@@ -50,6 +50,13 @@ class Document:
         except msgspec.ValidationError as error:
             raise self.error(*explained(error, self.value, kind)) from None
 
+    def given(self, name: str) -> Any:
+        """Return the value of a field, such as agent.budget; None if it has none."""
+        value = self.value
+        for field in name.split("."):
+            value = value.get(field) if isinstance(value, dict) else None
+        return value
+
     def error(self, fields: Fields, text: str) -> BadInput:
         """Return an error with this text about a field, with its file and line."""
         return self._at(self._line(fields), f"{dotted(fields) + ': ' if fields else ''}{text}")

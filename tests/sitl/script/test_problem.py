@@ -11,7 +11,7 @@ from plume.problem import PAPER, Area, Problem
 from plume.problems.names import named
 from plume.scenario import draw
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
-from sitl.script.options import add_mission_arguments, script_of
+from sitl.script.options import add_mission_arguments, blamed, script_of
 from sitl.script.script import Script, load
 
 FIELD = """
@@ -39,12 +39,16 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def of(*words: str) -> Script:
+def parsed(*words: str) -> argparse.Namespace:
     parser = cli.Parser()
     add_mission_arguments(parser)
     cli.add_reach_arguments(parser)
     cli.add_filter_arguments(parser)
-    return script_of(argparse.Namespace(speedup=1.0, **vars(parser.parse_given(list(words)))))
+    return argparse.Namespace(speedup=1.0, **vars(parser.parse_given(list(words))))
+
+
+def of(*words: str) -> Script:
+    return script_of(parsed(*words))
 
 
 def test_a_script_flies_its_problem(tmp_path: Path) -> None:
@@ -99,6 +103,28 @@ def test_what_a_problem_does_not_allow_is_refused_with_its_line(text: str, said:
 def test_a_flag_that_the_problem_does_not_allow_is_named() -> None:
     with pytest.raises(BadInput, match=r"--step: 20.0 is not allowed; wanted above 0 up to 10 m"):
         of("--step", "20")
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "said"),
+    [
+        ("seed: 2\nproblem:\n  stop: spread:-1", ["SCRIPT"], "SCRIPT:3: problem.stop: no"),
+        (
+            "problem: {stop: spread:2}\nestimator: {stop: spread:-1}",
+            ["SCRIPT"],
+            "SCRIPT:2: estimator.stop: no",
+        ),
+        ("stop: spread:-1", ["--problem", "SCRIPT"], "--problem: stop: no"),
+        ("stop: spread:-1", ["--problem", "SCRIPT", "--stop", "spread:-2"], "--stop: no"),
+        ("problem: {stop: spread:-1}", ["SCRIPT", "--stop", "spread:-2"], "--stop: no"),
+    ],
+)
+def test_a_stop_that_the_estimator_refuses_is_named_where_it_was_chosen(
+    text: str, words: list[str], said: str, tmp_path: Path
+) -> None:
+    path = str(written(tmp_path, text))
+    args = parsed(*[path if word == "SCRIPT" else word for word in words])
+    assert str(blamed(args, "--stop", "no")) == said.replace("SCRIPT", path)
 
 
 def test_the_services_are_told_area_and_prior_and_nothing_of_the_source(tmp_path: Path) -> None:
