@@ -218,7 +218,8 @@ class Bus:
         self._held[name] = declare, declare(self._session)
 
     def _superfluous(self) -> BusError:
-        return BusError(f"another {self.service} is already on {self._namespace or 'the bus'}")
+        part = part_of(self._name(HEALTH))
+        return BusError(f"another {part} is already on {self._namespace or 'the bus'}")
 
     def _look_for_rights(
         self, key: Key, roles: tuple[str, ...], verb: str, service: str | None = None

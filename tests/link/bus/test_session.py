@@ -510,6 +510,20 @@ def test_one_that_is_there_and_says_nothing_is_not_followed(
     token.undeclare()
 
 
+def test_of_several_vehicles_the_one_that_is_there_twice_is_named(
+    router: str, stranger: zenoh.Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("link.bus.sole.WAIT_S", 0.2)
+    token = stranger.liveliness().declare_token("search/1/uav/2/health/uav")
+    with (
+        pytest.raises(BusError, match=r"^another uav/2 is already on search/1$"),
+        Bus("uav", router, "search/1", sole=True, vehicles=(2,)),
+    ):
+        pass
+    Bus("uav", router, "search/1", sole=True, vehicles=(1,)).close()
+    token.undeclare()
+
+
 @pytest.mark.parametrize(("uptime_s", "goes"), [(1000.0, True), (0.0, False)], ids=["older", "younger"])
 def test_of_two_that_are_there_the_younger_goes(
     router: str, stranger: zenoh.Session, wait_until: Callable[..., None], uptime_s: float, goes: bool
