@@ -136,7 +136,7 @@ class Child:
         self._answer = Inbox()
         self._awaited = kind.answers
         self._lines = inbox.lane(f"lines of the {part}")
-        self._last_words = "no last words"
+        self._last_words = "none"
         self._process = subprocess.Popen(
             [sys.executable, "-m", *words],
             stdin=subprocess.DEVNULL,
@@ -226,12 +226,15 @@ class Child:
         elif on_stdout:
             self._lines(LogLine(self.part, f"{self.part}: {line}", "info"), len(line))
         else:
-            level, self._last_words = log.parse(line)
+            level, text = log.parse(line)
+            troubled = level in ("warning", "error")
+            if troubled or text == line:  # what a log says of its everyday work explains no end
+                self._last_words = text
             if self.aloud:
-                print(f"{self.part}: {self._last_words}", file=sys.stderr)
-            elif self.parting and level in ("warning", "error"):
-                print(self._last_words, file=sys.stderr)
-            self._lines(LogLine(self.part, self._last_words, level), len(line))
+                print(f"{self.part}: {text}", file=sys.stderr)
+            elif self.parting and troubled:
+                print(text, file=sys.stderr)
+            self._lines(LogLine(self.part, text, level), len(line))
 
 
 # ---- all of them ----

@@ -73,7 +73,7 @@ def test_a_part_may_print_what_it_likes_and_it_is_shown_with_its_name(
     )  # 120 kB: more than a pipe's 64 kB
     wait_until(launched.ends)
     assert launched.lines() == [f"agent: {n:060d}" for n in range(2000)]
-    assert launched.ends() == [Ended("agent", 0, "no last words")]
+    assert launched.ends() == [Ended("agent", 0, "none")]
 
 
 def test_bytes_that_are_no_text_and_a_line_without_end_do_no_harm(
@@ -89,6 +89,30 @@ out.write(b"\\n" + b"y" * 4000 + b"\\nlast")
     wait_until(launched.ends)
     assert launched.lines() == ["caf\ufffd", "x" * 4000 + " …", "y" * 4000, "last"]
     assert launched.ends() == [Ended("agent", 0, "last")]
+
+
+@pytest.mark.parametrize(
+    ("said", "last"),
+    [
+        (["info"], "none"),
+        (["warning", "info"], "uav: warning: a warning"),
+        (["a traceback", "debug"], "a traceback"),
+    ],
+)
+def test_the_last_words_of_a_part_are_not_about_its_everyday_work(
+    said: list[str], last: str, launched: Launched, wait_until: Callable
+) -> None:
+    logged = {
+        level: f'time=2026-11-29T02:10:18.291Z level={level} service=uav mission=uav/1 step=-1 event="a {level}"'
+        for level in ("debug", "info", "warning")
+    }
+    lines = [logged.get(each, each) for each in said]
+    source = (
+        f"import os, sys; print(*{lines!r}, sep='\\n', file=sys.stderr, flush=True); os.kill(os.getpid(), 9)"
+    )
+    launched.processes.start("uav", TOLD, source)
+    wait_until(launched.ends)
+    assert launched.ends() == [Ended("uav", -9, last)]
 
 
 def test_of_lines_that_nobody_takes_the_oldest_are_dropped_and_counted(
