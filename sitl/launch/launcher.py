@@ -366,7 +366,8 @@ class MissionWatch:
             case Ended(part=part) if part in KINDS and (spared := KINDS[part].spared):
                 self._gone.add(part)
                 self._watchdog.ended(part)
-                self._progress.say(f"warning: {spared}: {item.last_words}")
+                why = item.last_words if item.status > 0 else f"the {part} {how_ended(item)}"
+                self._progress.say(f"warning: {spared}: {why}")
             case Ended(part=part) if self._goes_on_without(item):
                 ended = next(each for each in self._heard.vehicles if each.part == part)
                 ended.ended = how_ended(item)

@@ -194,7 +194,7 @@ def test_a_recorder_that_dies_is_told_and_the_mission_goes_on(
     wait_until(lambda: mission.says("step   0"))
     os.kill(family(mission.process.pid)["record"], signal.SIGKILL)
     assert mission.ended() == 0
-    assert mission.says("warning: the recording stopped: ")
+    assert mission.says("warning: the recording stopped: the recorder was killed by signal 9")
     assert mission.out[0].startswith("not ceased after 12 steps, ")
 
 
