@@ -1,6 +1,5 @@
 """What a record holds, taken message by message: times, counts and the search, however large it is."""
 
-import math
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
@@ -11,12 +10,15 @@ from typing import NamedTuple
 import msgspec
 
 from ground.tlog.log import LISTED, few
+from link.bus.keys import BELIEF, OF_VEHICLE, READING, STOP, row_name, vehicle_of
 from link.bus.mavlink import WRAP_MS
-from link.bus.messages import Belief, Departure, Latecomer, Stop, by_number
+from link.bus.messages import Belief, Departure, Latecomer, Stop, began_anew, by_number
+from link.bus.session import part_of
 from link.record.record import Entry, began_s
 from link.terminal import printable
 from plume.outcome import TracePoint
 
+REPEATED = {READING.name, BELIEF.name, STOP.name}  # keys whose repeats mean something
 PAUSE_S = 2.0  # A longer silence of the whole bus is reported, s: telemetry comes every second
 LONGEST = 120  # longest description of an unreadable message, characters
 MOST_REASONS = 1000  # different descriptions of unreadable messages that are kept
@@ -43,9 +45,10 @@ class Survey:
     def __init__(self, entries: Iterable[Entry]) -> None:
         self.published_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self.simulation_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
-        # The times of all readings, ms; `answered` has those of beliefs, as time_boot_ms, which wraps.
-        self.asked: set[int] = set()
-        self.answered: set[int] = set()
+        # The times of all readings, ms, by their keys; `answered` has those of beliefs, as time_boot_ms,
+        # which wraps.
+        self.asked: dict[str, set[int]] = defaultdict(set)
+        self.answered: dict[str, set[int]] = defaultdict(set)
         # By step, what the first belief of the step says: a point of each vehicle.
         self.trace: dict[int, list[TracePoint]] = {}
         self.last: Belief | None = None  # the first belief of the last step
@@ -54,8 +57,8 @@ class Survey:
         self.doubted: dict[int, int] = {}  # when a vehicle was named whose sensor seemed to lie: its step
         self.restarts: Counter[str] = Counter()
         # Digests of the messages of the keys whose repeats mean something.
-        self._told: dict[str, set[bytes]] = {"reading": set(), "belief": set(), "agdc/stop": set()}
-        self._up_s: dict[str, float] = {}
+        self._told: dict[str, set[bytes]] = defaultdict(set)
+        self._alive: dict[str, tuple[float, float]] = {}  # each part's last message: when, and its uptime, s
         self._unreadable: Counter[str] = Counter()
         self._reasons: dict[str, dict[str, None]] = defaultdict(dict)
         for entry in entries:
@@ -88,11 +91,15 @@ class Survey:
     def gaps(self) -> list[str]:
         """Return a line for each kind of gap: readings, steps, pauses, and restarts of services."""
         lines = []
-        if unanswered := sorted(time_ms for time_ms in self.asked if time_ms % WRAP_MS not in self.answered):
-            times = [f"{time_ms / 1000:.2f} s" for time_ms in unanswered[:LISTED]]
-            lines.append(
-                f"{len(unanswered)} readings without a belief, at {few(times, len(unanswered))} of simulation"
-            )
+        for key, times_ms in sorted(self.asked.items()):
+            answered = self.answered[key]
+            if unanswered := sorted(time_ms for time_ms in times_ms if time_ms % WRAP_MS not in answered):
+                whose = f" of {OF_VEHICLE}{number}" if (number := vehicle_of(key)) else ""
+                times = [f"{time_ms / 1000:.2f} s" for time_ms in unanswered[:LISTED]]
+                lines.append(
+                    f"{len(unanswered)} readings{whose} without a belief, at {few(times, len(unanswered))} "
+                    "of simulation"
+                )
         steps = sorted(self.trace)
         # Missing ones are counted, not listed: a foreign message may have any step.
         if missing := max(steps, default=-1) + 1 - len(steps):
@@ -117,12 +124,13 @@ class Survey:
     def _take(self, entry: Entry) -> None:
         self.published_s[entry.key].append(entry.published_ns / 1e9)
         self.simulation_s[entry.key].append(entry.simulation_s)
-        if entry.key in self._told:
+        kind_of = row_name(entry.key)
+        if kind_of in REPEATED:
             self._told[entry.key].add(
                 blake2b(f"{entry.simulation_s!r}".encode() + entry.payload, digest_size=16).digest()
             )
-        if entry.key == "reading":
-            self.asked.add(round(entry.simulation_s * 1000))
+        if kind_of == READING.name:
+            self.asked[entry.key].add(round(entry.simulation_s * 1000))
         for prefix, name, kind in (
             ("belief", "belief", Belief),
             ("agdc/stop", "stop", Stop),
@@ -130,21 +138,25 @@ class Survey:
             ("latecomer", "latecomer", Latecomer),
             ("health/", "health message", Alive),
         ):
-            if entry.key.startswith(prefix):
+            if kind_of.startswith(prefix):
                 try:
-                    self._hear(entry.key, msgspec.json.decode(entry.payload, type=kind))
+                    self._hear(entry, msgspec.json.decode(entry.payload, type=kind))
                 except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
                     self._unreadable[name] += 1
                     if len(self._reasons[name]) < MOST_REASONS:
                         self._reasons[name][_line(str(error))] = None
 
-    def _hear(self, key: str, message: msgspec.Struct) -> None:
+    def _hear(self, entry: Entry, message: msgspec.Struct) -> None:
         if isinstance(message, Belief) and message.step not in self.trace:
+            each = by_number(message)
             self.trace[message.step] = [
                 TracePoint(own.position, own.gas, own.mean, own.spread, number)
-                for number, own in by_number(message).items()
+                for number, own in each.items()
             ]
-            self.answered.add(message.time_boot_ms)
+            for number, own in each.items():
+                self.answered[READING.named(vehicle=number if message.readings else None)].add(
+                    own.time_boot_ms
+                )
             for number in message.doubted or ():
                 self.doubted.setdefault(number, message.step)
             if self.last is None or message.step > self.last.step:
@@ -155,8 +167,10 @@ class Survey:
             if message.step is not msgspec.UNSET:
                 self.joined.setdefault(message.vehicle, message.step)
         elif isinstance(message, Alive):
-            self.restarts[key.removeprefix("health/")] += message.uptime_s < self._up_s.get(key, -math.inf)
-            self._up_s[key] = message.uptime_s
+            part, now_s = part_of(entry.key), entry.published_ns / 1e9
+            said_s, uptime_s = self._alive.get(part, (now_s, 0.0))
+            self.restarts[part] += began_anew(message.uptime_s, uptime_s, now_s - said_s)
+            self._alive[part] = now_s, message.uptime_s
 
 
 def _line(text: str) -> str:

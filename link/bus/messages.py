@@ -334,6 +334,14 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0
 
 
+def began_anew(uptime_s: float, uptime_before_s: float, since_s: float) -> bool:
+    """Whether a part has begun anew since its last message, by the uptimes of both and the time between them.
+
+    One that has been up for longer than that time is another part of the same name.
+    """
+    return uptime_s < min(uptime_before_s, since_s)
+
+
 def by_number(belief: Belief) -> dict[int, Belief]:
     """Return a belief as each vehicle of its round sees it, about its own reading, by their numbers."""
     return {

@@ -6,7 +6,7 @@
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from link.bus.messages import Health
+from link.bus.messages import Health, began_anew
 from scene.follow.timed import Timed
 from scene.scene import INFO, WARNING, Service
 
@@ -74,7 +74,8 @@ class Parts:
         before = known.health if known else None
         if signs is None or before == said:
             return False  # repeated to a late joiner
-        for level, words in _news(before, said):
+        since_s = wall_s - known.wall_s if known else 0.0
+        for level, words in _news(before, said, since_s):
             self._happened(time_s, level, said.service, words)
         signs.add(time_s, _Sign(wall_s, True, said))
         return True
@@ -100,9 +101,9 @@ def _gist(warning: str) -> str:
     return warning.partition(" (")[0]
 
 
-def _news(before: Health | None, said: Health) -> Iterator[tuple[str, str]]:
-    """Yield (level, words) for what a health message says and the one before it did not."""
-    if before and said.uptime_s < before.uptime_s:
+def _news(before: Health | None, said: Health, since_s: float) -> Iterator[tuple[str, str]]:
+    """Yield (level, words) for what a health message says and the one before it, so long ago, did not."""
+    if before and began_anew(said.uptime_s, before.uptime_s, since_s):
         yield WARNING, "was restarted"
     warned, error = ([*map(_gist, before.warnings)], before.last_error) if before else ([], "")
     every = [words for words in (*said.warnings, said.last_error) if words and words != error]

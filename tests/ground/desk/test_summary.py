@@ -15,7 +15,7 @@ import pytest
 
 from link import cli
 from link.bus.mavlink import Codec, Reading, gas_message, pack_reading
-from link.bus.messages import Belief, Health, Stop
+from link.bus.messages import Belief, Health, RoundReading, Stop
 from link.record.record import Entry
 from link.record.writer import Writer
 
@@ -165,6 +165,41 @@ def test_the_summary_counts_keys_repeats_and_what_is_missing(
         "estimator was restarted 1 time",
         "1 belief could not be read: JSON is malformed: invalid character (byte 4)",
     ]
+
+
+def test_of_several_vehicles_each_ones_repeats_gaps_and_restarts_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answered = msgspec.json.decode(belief(0)) | {
+        "readings": [RoundReading(number, number, 1000, (3.0, 4.0), 5.0, 0.5) for number in (1, 2)]
+    }
+    messages = [
+        (0.0, 1.0, "uav/1/reading", reading(0)),
+        (0.1, 1.0, "uav/2/reading", reading(0)),
+        (0.2, 1.0, "uav/2/reading", reading(0)),  # again
+        (0.3, 1.0, "belief", msgspec.json.encode(answered)),
+        (0.4, 1.0, "uav/1/health/uav", health("uav", 9.0)),
+        (0.5, 1.0, "uav/2/health/uav", health("uav", 5.0)),  # younger, but another vehicle
+        (0.8, 2.0, "uav/2/reading", reading(1)),
+        (1.4, 2.0, "uav/1/health/uav", health("uav", 0.2)),
+    ]
+    fields = json.loads(said(capsys, record(tmp_path / "run.mcap", messages), json=True).splitlines()[-1])
+    assert [fields["keys"][f"uav/{number}/reading"]["repeats"] for number in (1, 2)] == [0, 1]
+    assert fields["gaps"] == [
+        "1 readings of uav/2 without a belief, at 2.00 s of simulation",
+        "uav/1 was restarted 1 time",
+    ]
+
+
+def test_two_recorders_on_one_bus_are_no_restart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The second came 30 s after the first. Each says every second how it is."""
+    messages = [
+        (at_s, 0.0, "health/recorder", health("recorder", at_s + since_s))
+        for second in range(5)
+        for at_s, since_s in ((second, 40.0), (second + 0.5, 10.0))
+    ]
+    fields = json.loads(said(capsys, record(tmp_path / "run.mcap", messages), json=True).splitlines()[-1])
+    assert fields["gaps"] == []
 
 
 def test_the_outcome_is_judged_by_the_source_that_the_log_tells(

@@ -295,21 +295,28 @@ def test_services_are_judged_as_status_does(history: History) -> None:
 
 def test_warnings_restarts_and_departures_are_told_once(history: History) -> None:
     history.lives("estimator", True, 99.0)
-    for uptime_s in (1.0, 2.0, 0.5):
+    for wall_s, uptime_s in ((100.0, 1.0), (101.0, 2.0), (103.0, 0.5)):
         history.take(
             "health/estimator",
             health("estimator", uptime_s, warnings=("the readings do not fit",)),
             b"",
             1.0,
-            100.0,
+            wall_s,
         )
-    history.lives("estimator", False, 101.0)
+    history.lives("estimator", False, 104.0)
     assert said(history) == [
         ("info", "estimator", "joined"),
         ("warning", "estimator", "the readings do not fit"),
         ("warning", "estimator", "was restarted"),
         ("warning", "estimator", "is gone"),
     ]
+
+
+def test_two_parts_of_one_name_are_no_restart(history: History) -> None:
+    for second in range(3):
+        for at_s, since_s in ((second, 40.0), (second + 0.5, 10.0)):
+            history.take("health/recorder", health("recorder", at_s + since_s), b"", 1.0, 100.0 + at_s)
+    assert said(history) == []
 
 
 def test_a_warning_is_told_once_in_its_longer_form_and_again_only_when_it_comes_back(
