@@ -17,8 +17,20 @@ Place = tuple[float, float]  # (x, y) m
 AT_START_M = 1.0  # how far from its start a vehicle that joins late may stand
 # What our estimator says of itself; with the number of vehicles, if they are several.
 ESTIMATOR_ABOUT = re.compile(
-    r"^\d+ particles, assume [^,]*, stop [^ ]*?(?:, (\d+) vehicles)?(?:, without .*)?$"
+    r"^\d+ particles, assume [^,]*, stop [^ ]*?(?:, (\d) vehicles)?(?:, without (.*))?$"
 )
+
+
+def searchers(about: str) -> set[str]:
+    """Return the parts that search together, `uav/1` and so on, by what their estimator's health says of it.
+
+    Empty if one searches alone, or if it does not say for how many it is.
+    """
+    ours = ESTIMATOR_ABOUT.search(about)
+    if not ours or not ours[1]:
+        return set()
+    every = {f"{OF_VEHICLE}{number}" for number in range(1, int(ours[1]) + 1)}
+    return every - {*(ours[2] or "").split(", ")}
 
 
 def misfit(about: str, vehicles: int) -> str:

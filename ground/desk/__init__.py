@@ -1,4 +1,5 @@
 """Tools for operators: the recorder, the status of running parts, logs and recorded plumes shown and drawn.
 
-Imports: plume, plume.recorded, link, link.access, link.bus, link.record, scene, scene.follow, ground.tlog.
+Imports: plume, plume.recorded, link, link.access, link.bus, link.record, aircraft, scene, scene.follow,
+ground.tlog.
 """

@@ -14,6 +14,7 @@ import msgspec
 from rich.console import Console, Group
 from rich.live import Live
 
+from aircraft.together import searchers
 from link import cli
 from link.access.roles import MOST_VEHICLES
 from link.bus.keys import HEALTH, OF_VEHICLE
@@ -68,14 +69,22 @@ class Board:
             self._parts[name] = Part(known_since_s=now_s)
         return self._parts.get(name)
 
-    def lives(self, name: str, alive: bool, now_s: float) -> None:
-        """Take that a part appeared or disappeared.
+    @property
+    def wanted(self) -> list[str]:
+        """The parts that must be there."""
+        return sorted(self._wanted)
 
-        The vehicles of a search by several, once there, are wanted in place of the one that is elsewhere.
-        """
-        if alive and name.startswith(OF_VEHICLE) and not self._only_wanted:
+    def _want(self, vehicles: Iterable[str], now_s: float) -> None:
+        """Want vehicles of a search by several in place of the one that is elsewhere."""
+        for name in () if self._only_wanted else vehicles:
             self._wanted = self._wanted - {"uav"} | {name}
             self._parts.pop("uav", None)
+            self._part(name, now_s)
+
+    def lives(self, name: str, alive: bool, now_s: float) -> None:
+        """Take that a part appeared or disappeared."""
+        if alive and name.startswith(OF_VEHICLE):
+            self._want([name], now_s)
         part = self._part(name, now_s)
         if part and alive and not part.alive:
             self._parts[name] = Part(True, now_s)
@@ -86,6 +95,8 @@ class Board:
 
     def hears(self, health: Health, now_s: float, name: str = "") -> None:
         """Take a part's health message. name: the part's, by default that of its service."""
+        if health.service == "estimator":
+            self._want(searchers(health.about), now_s)
         if part := self._part(name or health.service, now_s):
             if part.health is not None and health.uptime_s != part.health.uptime_s:
                 part.spoke_s = now_s
@@ -133,14 +144,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Show the status once, or until interrupted; returns 0 if all parts of all vehicles are ok."""
     live = Live(console=Console(highlight=False), auto_refresh=False)
+    known: dict[str, list[str]] = {}  # the parts that must be there, of each vehicle or search that was
     with live if args.watch and sys.stdout.isatty() and not args.json else nullcontext() as shown:
         while True:
             try:
                 with ExitStack() as joined:
-                    well = _look(joined, args, shown)
+                    well = _look(joined, args, shown, known)
             except NoRouter as error:
-                missing = {name: {"status": MISSING} for name in args.parts or PARTS}
-                well = _show(args, shown, str(error), {args.namespace or FIRST: missing})
+                wanted = known or {args.namespace or FIRST: args.parts or PARTS}
+                missing = {
+                    name: {part: {"status": MISSING} for part in sorted(parts, key=in_order)}
+                    for name, parts in wanted.items()
+                }
+                well = _show(args, shown, str(error), missing)
             if not args.watch:
                 return 0 if well else cli.FAILED
             time.sleep(WATCH_EVERY_S)
@@ -161,13 +177,17 @@ def _join(joined: ExitStack, args: argparse.Namespace, namespace: str | None) ->
     )
 
 
-def _look(joined: ExitStack, args: argparse.Namespace, shown: Live | None) -> bool:
+def _look(
+    joined: ExitStack, args: argparse.Namespace, shown: Live | None, known: dict[str, list[str]]
+) -> bool:
     """Listen until all verdicts are known, or with --watch for ever; returns whether all is well.
+
+    known: the parts that must be there, by their namespaces; what is met is put there.
 
     Raises NoRouter when the router is gone.
     """
     router = None if args.namespace else _join(joined, args, None)
-    met = {args.namespace} if args.namespace else set()
+    met = {args.namespace} if args.namespace else {*known}
     vehicles: dict[str, tuple[Bus, Board]] = {}
     show_at, meet_at = math.inf, -math.inf
     while True:
@@ -176,7 +196,9 @@ def _look(joined: ExitStack, args: argparse.Namespace, shown: Live | None) -> bo
             meet_at = now_s + WATCH_EVERY_S
             met |= router.vehicles() if router else set()
             order = sorted(met or {FIRST}, key=lambda name: (len(name), name))[:MOST_VEHICLES]
-            vehicles = {name: vehicles.get(name) or _meet(joined, args, name) for name in order}
+            vehicles = {
+                name: vehicles.get(name) or _meet(joined, args, name, known.get(name)) for name in order
+            }
         for bus, _ in vehicles.values():
             if not bus.connected:
                 raise NoRouter(f"--connect: {bus.expiry() or f'the router at {args.connect} is gone'}")
@@ -186,6 +208,7 @@ def _look(joined: ExitStack, args: argparse.Namespace, shown: Live | None) -> bo
             well = _show(
                 args, shown, "", {name: board.report(now_s) for name, (_, board) in vehicles.items()}
             )
+            known |= {name: board.wanted for name, (_, board) in vehicles.items() if name in met}
             if not args.watch:
                 return well
             show_at = now_s + WATCH_EVERY_S
@@ -193,10 +216,13 @@ def _look(joined: ExitStack, args: argparse.Namespace, shown: Live | None) -> bo
             _hear(bus, board, LISTEN_S / len(vehicles))
 
 
-def _meet(joined: ExitStack, args: argparse.Namespace, namespace: str) -> tuple[Bus, Board]:
-    """Join the bus of a vehicle, and begin to judge its parts."""
+def _meet(
+    joined: ExitStack, args: argparse.Namespace, namespace: str, known: list[str] | None
+) -> tuple[Bus, Board]:
+    """Join the bus of a vehicle, and begin to judge its parts: those that were known, if any."""
     bus = _join(joined, args, namespace)
-    board = Board(args.parts or PARTS, bus.services(), time.monotonic(), only_wanted=bool(args.parts))
+    wanted = known or args.parts or PARTS
+    board = Board(wanted, bus.services(), time.monotonic(), only_wanted=bool(args.parts))
     bus.watch_services()
     bus.subscribe(HEALTH)
     return bus, board

@@ -217,7 +217,16 @@ def test_a_watch_outlives_the_router(start, wait_until: Callable) -> None:
         return bool(watch.out) and json.loads(watch.out[-1])["router"]["status"] == verdict
 
     wait_until(lambda: router_is("ok"))
+    start("estimator", "--connect", endpoint, "--namespace", "search/1", "--vehicles", "2")
+    fleet = ["uav/1", "uav/2", "estimator", "agent"]
+
+    def shows_the_fleet() -> bool:
+        return list(json.loads(watch.out[-1])["vehicles"].get("search/1", {"parts": {}})["parts"]) == fleet
+
+    wait_until(shows_the_fleet)
     router.kill()
     wait_until(lambda: router_is("missing"))
+    assert shows_the_fleet()
     start("sitl", "router", "--listen", endpoint)
     wait_until(lambda: router_is("ok"))
+    assert shows_the_fleet()

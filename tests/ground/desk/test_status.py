@@ -104,6 +104,25 @@ def test_vehicles_of_a_search_have_a_row_each_also_those_that_came_late_and_are_
     assert list(told) == ["uav/1", "uav/2", "estimator", "agent"]
 
 
+@pytest.mark.parametrize(
+    ("about", "rows"),
+    [
+        ("3 vehicles", ["uav/1", "uav/2", "uav/3"]),
+        ("3 vehicles, without uav/1, uav/3", ["uav/2"]),  # who has left, or comes late, is not missed
+        ("", ["uav"]),
+    ],
+)
+def test_vehicles_that_the_estimator_searches_with_have_a_row_each_though_none_is_there(
+    about: str, rows: list[str]
+) -> None:
+    b = board("estimator")
+    told = f"1000 particles, assume field, stop spread:0.5{about and ', '}{about}"
+    b.hears(Health("estimator", "ready", -1, 0.0, 10.0, {}, about=told), 1001.0)
+    assert list(b.report(1001.0)) == [*rows, "estimator", "agent"]
+    assert b.wanted == sorted([*rows, "estimator", "agent"])
+    assert [b.verdict(row, 1001.0) for row in rows] == ["missing"] * len(rows)
+
+
 @pytest.mark.parametrize("other", ["uav", "recorder"])
 def test_where_parts_are_named_all_others_are_left_out(other: str) -> None:
     b = board("estimator", other, only=("estimator",))
