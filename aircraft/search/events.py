@@ -17,11 +17,15 @@ Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 StepNumber = Annotated[
     int, Meta(ge=0, description="a whole number from 0: number of the reading, 0 at the start")
 ]
-TimeS = Annotated[float, Meta(ge=0, le=MOST, description="a number from 0: simulation time, s")]
+TimeS = Annotated[
+    float, Meta(ge=0, le=MOST, description=f"a number from 0 up to {MOST:g}: simulation time, s")
+]
 VehicleNumber = Annotated[
     int,
     Meta(
-        ge=1, le=64, description="number of the vehicle on which it happens, of several; by default on each"
+        ge=1,
+        le=64,
+        description="a whole number from 1: the vehicle on which it happens, of several; by default on each",
     ),
 ]
 Radians = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
@@ -57,7 +61,9 @@ class OfVehicle(ScriptEvent, frozen=True, kw_only=True):
 class Dropout(OfVehicle, frozen=True, tag="dropout"):
     """The sensor gives no value (NaN); the vehicle waits and tries again every second."""
 
-    for_s: Annotated[float, Meta(gt=0, le=MOST, description="a number above 0: simulation time, s")]
+    for_s: Annotated[
+        float, Meta(gt=0, le=MOST, description=f"a number above 0 up to {MOST:g}: simulation time, s")
+    ]
 
 
 class Stuck(OfVehicle, frozen=True, tag="stuck"):

@@ -211,7 +211,7 @@ class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
     """Waypoints that replace the agent's, one per reading; the first answers this step's reading."""
 
-    points: Annotated[list[Place], Meta(min_length=1)]
+    points: Annotated[list[Place], Meta(min_length=1, description="a list of one place [x, y] or more, m")]
 
     def path(self) -> list[Place]:
         """Return the waypoints, (x, y) in m."""
@@ -224,10 +224,14 @@ class Lawnmower(ScriptEvent, frozen=True, tag="lawnmower"):
     low: Place = (0.0, 0.0)
     high: Place = (AREA_M, AREA_M)
     spacing_m: Annotated[
-        float, Meta(ge=0.1, le=MOST, description="a number from 0.1: distance between two rows, m")
+        float,
+        Meta(ge=0.1, le=MOST, description=f"a number from 0.1 up to {MOST:g}: distance between two rows, m"),
     ] = 5.0
     step_m: Annotated[
-        float, Meta(ge=0.1, le=MOST, description="a number from 0.1: distance between two readings, m")
+        float,
+        Meta(
+            ge=0.1, le=MOST, description=f"a number from 0.1 up to {MOST:g}: distance between two readings, m"
+        ),
     ] = STEP_M
 
     def path(self) -> list[Place]:
@@ -246,21 +250,28 @@ class Kill(ScriptEvent, frozen=True, tag="kill"):
     """A part is killed (SIGKILL) and restarted."""
 
     part: Literal["estimator", "agent", "router"]
-    restart_after_s: Annotated[Seconds, Meta(description="a number from 0: real time, s")] = 0.0
+    restart_after_s: Annotated[Seconds, Meta(description=f"a number from 0 up to {MOST:g}: real time, s")] = (
+        0.0
+    )
 
 
 class Exclude(ScriptEvent, frozen=True, tag="leave-out"):
     """The operator lets a vehicle leave the search by several, and its readings are forgotten."""
 
     vehicle: Annotated[
-        int, Meta(ge=1, le=64, description="number of the vehicle, of several, that leaves the search")
+        int,
+        Meta(
+            ge=1, le=64, description="a whole number from 1: the vehicle, of several, that leaves the search"
+        ),
     ]
 
 
 class Late(ScriptEvent, frozen=True, tag="join"):
     """A vehicle is started now, and joins the search that the others have begun without it."""
 
-    vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle, of several, that joins")]
+    vehicle: Annotated[
+        int, Meta(ge=1, le=64, description="a whole number from 1: the vehicle, of several, that joins")
+    ]
 
 
 class Cut(ScriptEvent, frozen=True, tag="cut"):

@@ -175,11 +175,19 @@ MISTAKES = {
     (
         "after_s: 10.5",
         "after_s: -1",
-    ): "11: events[2].after_s: -1 is not allowed; wanted a number from 0: simulation time, s",
+    ): "11: events[2].after_s: -1 is not allowed; wanted a number from 0 up to 1e+12: simulation time, s",
+    (
+        "{step: 30, do: wind, phi: 2}",
+        "{step: 30, do: leave-out, vehicle: 0}",
+    ): "9: events[0].vehicle: 0 is not allowed; wanted a whole number from 1: the vehicle, of several, that",
+    (
+        "{step: 30, do: wind, phi: 2}",
+        "{time_s: 1e300, do: return}",
+    ): "9: events[0].time_s: 1e+300 is not allowed; wanted a number from 0 up to 1e+12: simulation time, s",
     (
         "do: lawnmower\n    high: [10, 10]",
         "do: waypoints\n    points: []",
-    ): "14: events[3].points: [] is not allowed; wanted a list",
+    ): "14: events[3].points: [] is not allowed; wanted a list of one place",
     (
         "do: lawnmower\n    high: [10, 10]",
         "do: waypoints\n    points:\n    - [1, 2]\n    - [3, 31]",
