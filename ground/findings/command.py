@@ -13,6 +13,7 @@ from ground.findings.figures import Findings, findings_of
 from ground.findings.flight import Flight, flight_of
 from ground.findings.page import sentence
 from link import cli
+from link.files import drop_if_empty
 from link.record.reader import RecordError, is_record
 from link.terminal import tell
 from scene.follow.described import problem_of
@@ -110,6 +111,7 @@ def save(it: Findings, folder: Path, picture: Background | None = None) -> None:
     try:
         write(it, folder, picture)
     except OSError as error:
+        drop_if_empty(folder)
         raise cli.BadInput(f"{folder}: {error.strerror}") from None
 
 

@@ -1,6 +1,7 @@
 """The documents of the findings: what is written, and where."""
 
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 
 from ground.findings.background import Background
@@ -21,12 +22,13 @@ DOCUMENTS: Mapping[str, Callable[[Findings], str]] = {
 
 
 def write(it: Findings, folder: Path, background: Background | None = None) -> list[Path]:
-    """Write all documents into a folder, each whole or not at all. Raises OSError."""
+    """Write all documents into a folder, or none. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = {
         name: page(it, background) if make is page else make(it) for name, make in DOCUMENTS.items()
     }  # all of them before the first is written
-    for name, text in texts.items():
-        with whole(folder / name) as partial:
+    with ExitStack() as stack:
+        for name, text in texts.items():
+            partial = stack.enter_context(whole(folder / name))
             partial.write_text(text, encoding="utf-8", newline="\n")
     return [folder / name for name in texts]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from link import cli
-from link.files import drop_if_empty, is_claimed
+from link.files import drop_if_empty, is_claimed, whole
 from plume import __version__
 
 
@@ -123,6 +123,7 @@ def write_findings(record: Path, folder: Path, to: TextIO) -> bool:
     )
     for line in done.stdout.splitlines():
         print(line, file=to)
+    drop_if_empty(folder)
     return done.returncode == 0
 
 
@@ -140,4 +141,5 @@ def write_summary(path: Path, mission: Any, outcome: Any) -> None:
         "outcome": outcome,
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(summary, indent=1) + "\n")
+    with whole(path) as partial:
+        partial.write_text(json.dumps(summary, indent=1) + "\n")

@@ -459,3 +459,12 @@ def test_the_findings_of_a_replayed_log_have_the_times_of_its_flight(tmp_path: P
     ]
     assert it.flight.samples[3].utc_ns == 1000 * noon_us + 1_000_000 * (at_ms - 40_000)
     assert findings().flight.samples[3].utc_ns != it.flight.samples[3].utc_ns
+
+
+def test_where_one_document_cannot_be_written_none_is_and_older_ones_stay(tmp_path: Path) -> None:
+    (tmp_path / "readings.csv").mkdir()  # the last one
+    (tmp_path / "findings.html").write_text("older")
+    with pytest.raises(IsADirectoryError):
+        write(findings(), tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"readings.csv", "findings.html"}
+    assert (tmp_path / "findings.html").read_text() == "older"

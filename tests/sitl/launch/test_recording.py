@@ -3,6 +3,7 @@ that begins.
 """
 
 import re
+import resource
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from link.cli import BadInput
 from link.record.reader import read
 from link.record.writer import Writer
-from sitl.launch.recording import RecordFiles
+from sitl.launch.recording import RecordFiles, write_summary
 
 
 @pytest.fixture
@@ -106,3 +107,14 @@ def test_a_record_that_cannot_take_the_place_stays_where_it_is(old: Path) -> Non
     beside = files.path
     assert files.take_place() == f"the record stays in {beside}: Is a directory"
     assert (files.path, beside.read_text()) == (beside, "new")
+
+
+def test_a_summary_that_does_not_fit_on_the_disk_leaves_no_part_of_it(tmp_path: Path) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            write_summary(tmp_path / "runs" / "one.json", {"about": "x" * 1000}, {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [*(tmp_path / "runs").iterdir()] == []
