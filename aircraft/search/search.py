@@ -168,7 +168,7 @@ class Search:
             self._say(mavlink.MAV_SEVERITY_WARNING, f"Search gives way: {mode.name} by the autopilot")
         elif not self.leads:
             self.state = HOLDING if self.is_over else PAUSED
-        elif self.state == TAKING_OFF and mode is Mode.HOLD:
+        elif self.state == TAKING_OFF and mode is Mode.HOLD and not self.vehicle.failure:
             self._obeyed(self.vehicle.setpoint(now_s, self.waypoint))
             self._obeyed(self.vehicle.set_mode(now_s, Mode.OFFBOARD))
             self.state = SEARCHING

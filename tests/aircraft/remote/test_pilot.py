@@ -349,7 +349,7 @@ def test_a_search_whose_motors_are_stopped_in_flight_says_so(kind: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "said"),
     [
-        ("ardupilot", "Search gives way: HOLD by the autopilot"),  # GUIDED has no target when it is disarmed
+        ("ardupilot", "Take-off refused: the vehicle could not do it"),  # it was disarmed at its second try
         ("px4", "ended by a pilot or the autopilot: the motors have stopped while it took off"),
     ],
 )
