@@ -38,6 +38,8 @@ class Sampling:
         self._arrivals = 0  # at which it dwells
         self._time_boot_ms = -1
         self._newest = b""
+        self._silent = False  # whether the sensor had no value when it was read last
+        self._gas = math.nan  # the newest reading's
         self._sampled_at = time.monotonic()
         self._resending = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
 
@@ -45,6 +47,14 @@ class Sampling:
     def newest(self) -> int:
         """The number of the newest reading; -1 before the first."""
         return self._number - 1
+
+    @property
+    def lack(self) -> str:
+        """Why no waypoint is to be expected: what the newest reading lacks; empty if it lacks nothing."""
+        if self._silent:
+            return f"the sensor has no value for reading {self._number}"
+        unanswered = f"reading {self.newest} ({self._gas:.4g}) has no answer"
+        return unanswered * self._search.answers.awaited
 
     def begin(self, number: int) -> None:
         """Begin with reading `number`, in a search that others have begun."""
@@ -101,7 +111,8 @@ class Sampling:
             return
         north, east, down = arrived.position
         has_value = not (math.isnan(gas) or self.faults.silent(self._vehicle.now_s))
-        gas = self.faults.read(gas) if has_value else math.nan
+        self._gas = gas = self.faults.read(gas) if has_value else math.nan
+        self._silent = not has_value
         reading = pack_reading(self.codec, Reading(self._time_boot_ms, (east, north), -down, wind, gas))
         if not has_value:
             self._publish(reading)

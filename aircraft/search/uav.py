@@ -157,7 +157,7 @@ class Uav:
                     self._go_on_with_the_search()
                     failure = self._vehicle.failure or self._misfit
                     if failure and not self._vehicle.armed:  # it stands on the ground, or does so again
-                        raise VehicleFailed(failure)
+                        raise VehicleFailed("; ".join(filter(None, (failure, self._sampling.lack))))
                     self._sampling.go_on()
                     self._clients.serve()
                     self._tally.compute_s += time.perf_counter() - busy_since

@@ -37,6 +37,7 @@ class Others(QuietBus):
 
     def __init__(self, wind: Callable[[int], Air] = lambda _: MEASURED) -> None:
         super().__init__()
+        self.gas = 0.25
         self.wind = wind
         """What the payload measures of the wind, by the number of the question; the first one is asked on
         the ground.
@@ -58,7 +59,9 @@ class Others(QuietBus):
             self.due.append(
                 Arrival(
                     PAYLOAD_OUT,
-                    pack_answer(asked.system, Sample(asked.time_boot_ms, 0.25, self.wind(self.questions))),
+                    pack_answer(
+                        asked.system, Sample(asked.time_boot_ms, self.gas, self.wind(self.questions))
+                    ),
                     b"",
                 )
             )

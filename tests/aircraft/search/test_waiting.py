@@ -1,5 +1,6 @@
 """Protects the uav's wait for a real vehicle and its services: it says what for all the time, and ends."""
 
+import math
 from typing import Any
 
 import msgspec
@@ -11,6 +12,7 @@ from aircraft.search.uav import Equipment, Speaker
 from aircraft.state import VehicleFailed
 from aircraft.together import misfit
 from link.bus.keys import HEALTH, PAYLOAD_IN, Key
+from link.bus.mavlink import unpack_reading
 from link.bus.messages import Health
 from link.bus.session import Arrival, LivelinessChange
 from plume.scenario import draw
@@ -31,6 +33,18 @@ class Speechless(Others):
     def publish(self, key: Key, message: Any, attachment: bytes | None = None) -> None:
         if key is not PAYLOAD_IN:
             super().publish(key, message, attachment)
+
+
+class Ignored(Others):
+    """A bus whose estimator refuses each reading of more than 1 g/m³, and whose payload measures this."""
+
+    def __init__(self, gas: float) -> None:
+        super().__init__()
+        self.gas = gas
+
+    def answer(self, payload: bytes) -> None:
+        if unpack_reading(payload).gas <= 1.0:
+            super().answer(payload)
 
 
 class Searched(Others):
@@ -85,6 +99,18 @@ def test_a_payload_that_never_answers_is_said_in_its_health_and_at_the_end(kind:
     last, warnings = waited(Cockpit(kind, wait_s=40.0), Speechless())
     assert last.endswith("(--wait): the payload has not answered yet whether it measures the wind")
     assert "the payload has not answered yet" in warnings[-1]
+
+
+@both
+@pytest.mark.parametrize(
+    ("gas", "lacks"),
+    [(math.nan, "the sensor has no value for reading 0"), (1e12, "reading 0 (1e+12) has no answer")],
+)
+def test_a_flight_without_waypoints_says_at_its_end_what_its_reading_lacked(
+    kind: str, gas: float, lacks: str
+) -> None:
+    last, _ = waited(Cockpit(kind), Ignored(gas))
+    assert last == f"No waypoint for 30 s; {lacks}"
 
 
 @pytest.mark.parametrize("missing", ["payload", "estimator", "agent"])
