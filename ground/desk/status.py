@@ -57,9 +57,13 @@ class Board:
     def __init__(
         self, wanted: Iterable[str], alive: Iterable[str], now_s: float, *, only_wanted: bool = False
     ) -> None:
-        """Start with the parts that must be there and those alive; `only_wanted` ignores all others."""
+        """Start with the parts that must be there and those alive; `only_wanted` ignores all others.
+
+        `uav` stands for all vehicles, if several search together.
+        """
         self._wanted = set(wanted)
         self._only_wanted = only_wanted
+        self._all_vehicles = not only_wanted or "uav" in self._wanted
         self._parts = {name: Part(known_since_s=now_s) for name in wanted}
         for name in alive:
             self.lives(name, True, now_s)
@@ -76,10 +80,10 @@ class Board:
 
     def _want(self, vehicles: Iterable[str], now_s: float) -> None:
         """Want vehicles of a search by several in place of the one that is elsewhere."""
-        for name in () if self._only_wanted else vehicles:
+        for name in vehicles if self._all_vehicles else ():
             self._wanted = self._wanted - {"uav"} | {name}
             self._parts.pop("uav", None)
-            self._part(name, now_s)
+            self._parts.setdefault(name, Part(known_since_s=now_s))
 
     def lives(self, name: str, alive: bool, now_s: float) -> None:
         """Take that a part appeared or disappeared."""

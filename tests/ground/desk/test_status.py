@@ -123,6 +123,13 @@ def test_vehicles_that_the_estimator_searches_with_have_a_row_each_though_none_i
     assert [b.verdict(row, 1001.0) for row in rows] == ["missing"] * len(rows)
 
 
+def test_where_parts_are_named_uav_stands_for_all_vehicles_of_a_search() -> None:
+    b = board("uav/2", only=("uav", "agent"))
+    about = "1000 particles, assume field, stop spread:0.5, 2 vehicles"
+    b.hears(Health("estimator", "ready", -1, 0.0, 10.0, {}, about=about), 1001.0)
+    assert list(b.report(1001.0)) == ["uav/1", "uav/2", "agent"]
+
+
 @pytest.mark.parametrize("other", ["uav", "recorder"])
 def test_where_parts_are_named_all_others_are_left_out(other: str) -> None:
     b = board("estimator", other, only=("estimator",))
