@@ -17,7 +17,7 @@ import msgspec
 
 from ground.desk.scenes import RecordedScene
 from link import cli
-from link.bus.keys import KEYS, STOP
+from link.bus.keys import KEYS, OF_VEHICLE, STOP
 from link.bus.opening import CONNECT_TIMEOUT_S
 from link.bus.session import Arrival
 from link.interrupts import on_end
@@ -106,6 +106,9 @@ def run(args: argparse.Namespace) -> int:
             raise cli.BadInput(reason or cannot) from None
         bus.subscribe(*KEYS)
         bus.settle(CONNECT_TIMEOUT_S)
+        recorded = {f"{OF_VEHICLE}{number}" for number in cli.numbers(args.vehicles)}
+        if missed := [part for part in bus.fleet() if part not in recorded]:
+            bus.log.warning(f"not recorded: {', '.join(missed)}; --vehicles says how many there are")
         bus.tally.state = "recording"
         bus.publish_health()
         print(f"recording to {args.file}", flush=True)

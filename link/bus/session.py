@@ -379,6 +379,12 @@ class Bus:
             if reply.ok is not None and self._names.admits(service_of(reply.ok.key_expr))
         }
 
+    def fleet(self) -> list[str]:
+        """Return the vehicles of a search by several that are in the namespace: `uav/1` and so on."""
+        tokens = self._session.liveliness().get(f"{OF_VEHICLE}*/{HEALTH.named('uav')}")
+        parts = {part_of(reply.ok.key_expr) for reply in tokens if reply.ok is not None}
+        return sorted(part for part in parts if part.startswith(OF_VEHICLE))
+
     def vehicles(self) -> set[str]:
         """Return the namespaces in which services are present; only without a namespace of our own.
 

@@ -17,6 +17,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
+from link.bus.session import Bus
 from tests.system.drones import connected, until
 from tests.system.wires import BusWire, SerialWire, Speaker, TcpWire, UdpWire, Wire, count, free_port
 
@@ -323,6 +324,16 @@ def test_a_port_in_use_is_refused_and_all_interfaces_are_warned_of(
     second = start("sitl", "bridge", f"tcpin:0.0.0.0:{port}", "--connect", router)
     assert second.ended() == 2
     assert second.err == [f"error: URL: tcpin:0.0.0.0:{port}: Address already in use\n"]
+
+
+def test_a_bridge_to_a_search_by_several_says_how_it_joins_one_of_them(
+    start, router: str, wait_until: Callable
+) -> None:
+    url = f"tcpin:127.0.0.1:{free_port(TCP)}"
+    with Bus("uav", router, "search/1", vehicles=(2,)), Bus("uav", router, "search/1", vehicles=(3,)):
+        bridge = start("sitl", "bridge", url, "--connect", router, "--namespace", "search/1")
+        wait_until(lambda: bridge.says("search/1 is a search by several, uav/2, uav/3; "))
+        assert bridge.says("--namespace search/1/uav/2 joins one")
 
 
 @pytest.mark.full

@@ -41,6 +41,25 @@ def test_a_record_of_several_says_how_many_they_are(
     assert read(tmp_path / "two.mcap").about["fleet"] == {"vehicles": 2}
 
 
+@pytest.mark.parametrize(("vehicles", "missed"), [("1", "uav/1, uav/2"), ("2", "")])
+def test_vehicles_that_are_there_and_are_not_recorded_are_named(
+    start, router: str, tmp_path: Path, wait_until: Callable, vehicles: str, missed: str
+) -> None:
+    with (
+        Bus("uav", router, "search/1", vehicles=(1,)),
+        Bus("uav", router, "search/1", vehicles=(2,)),
+        Bus("uav", router, "search/2", vehicles=(3,)),
+    ):
+        words = ("--namespace", "search/1", "--vehicles", vehicles, "--connect", router)
+        recorder = start("sitl", "record", str(tmp_path / "two.mcap"), *words)
+        wait_until(lambda: recorder.out)
+    recorder.process.send_signal(signal.SIGINT)
+    recorder.ended()
+    said = [line for line in recorder.err if "not recorded" in line]
+    assert len(said) == bool(missed)
+    assert all(f"not recorded: {missed}; --vehicles says how many there are" in line for line in said)
+
+
 def test_a_mission_is_recorded_from_its_first_to_its_last_message(start, tmp_path: Path) -> None:
     mission = start(
         "sitl",
