@@ -31,7 +31,7 @@ from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
 from sitl.script.options import FIELDS, blamed, fleet_of, origin_of, script_for_vehicle, script_of
 from sitl.script.script import AgentPart, Script
-from sitl.uav.options import add_vehicle_arguments, check_ids
+from sitl.uav.options import add_vehicle_arguments, check_ids, check_outs
 
 RECORD_FILE = "FILE.mcap"  # what the recorder calls the file that --record names
 # The flags that the uav has to know, too.
@@ -177,6 +177,7 @@ def _checked_script(args: argparse.Namespace) -> Script:
         check_payload(script, args.payload)
     fleet = fleet_of(args, script)
     check_ids(args, fleet.vehicles)
+    check_outs(args.out, fleet.vehicles)
     check_fleet(script, fleet, args.given, origin_of(args, script))
     return script
 

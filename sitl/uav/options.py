@@ -2,11 +2,12 @@
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import get_args
 
-from aircraft.bridge.address import parse_out
+from aircraft.bridge.address import LISTENING, parse_out
 from aircraft.search.search import AfterStop
 from aircraft.together import Berth
 from link import cli
@@ -110,6 +111,16 @@ def check_ids(args: argparse.Namespace, vehicles: int, number: int = 1) -> None:
     for flag, value, least, most, why in wanted:
         if value is not None and not least <= value <= most:
             raise cli.BadInput(f"{flag}: {value} is not allowed{why}; wanted {least} to {most}")
+
+
+def check_outs(urls: Sequence[str], vehicles: int) -> None:
+    """Raise BadInput if several vehicles would listen at one port."""
+    for address in map(parse_out, urls if vehicles > 1 else ()):
+        if address.kind in LISTENING and address.text in urls:
+            raise cli.BadInput(
+                f"--out: {address.text} is not allowed for {vehicles} vehicles, which cannot listen at one "
+                f"port; wanted {address.kind}:{address.host}, by which each has its own"
+            )
 
 
 def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:

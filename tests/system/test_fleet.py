@@ -113,6 +113,11 @@ def test_in_gas_that_moves_three_vehicles_on_the_clock_read_the_same_as_in_proce
             ("--vehicles", "4", "--from", "edge", "--separation", "9"),
             "--separation: 9 is not allowed; 4 vehicles from edge have room for 0 to 7.5 m",
         ),
+        (
+            ("--vehicles", "2", "--out", "udpout:127.0.0.1:9", "--out", "udpin:127.0.0.1:9"),
+            "--out: udpin:127.0.0.1:9 is not allowed for 2 vehicles, which cannot listen at one port; "
+            "wanted udpin:127.0.0.1, by which each has its own",
+        ),
         (("--vehicles", "2", "lawnmower"), "lawnmower, cannot happen: it is for one vehicle"),
     ],
 )
