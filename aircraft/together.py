@@ -21,16 +21,20 @@ ESTIMATOR_ABOUT = re.compile(
 )
 
 
+def searching(about: str) -> int:
+    """Return how many vehicles an estimator is for, by what its health says of it; 0 if it does not say."""
+    ours = ESTIMATOR_ABOUT.search(about)
+    return int(ours[1] or 1) if ours else 0
+
+
 def searchers(about: str) -> set[str]:
     """Return the parts that search together, `uav/1` and so on, by what their estimator's health says of it.
 
     Empty if one searches alone, or if it does not say for how many it is.
     """
-    ours = ESTIMATOR_ABOUT.search(about)
-    if not ours or not ours[1]:
-        return set()
-    every = {f"{OF_VEHICLE}{number}" for number in range(1, int(ours[1]) + 1)}
-    return every - {*(ours[2] or "").split(", ")}
+    ours, vehicles = ESTIMATOR_ABOUT.search(about), searching(about)
+    every = {f"{OF_VEHICLE}{number}" for number in range(1, vehicles + 1)} if vehicles > 1 else set()
+    return every - {*(ours[2] or "").split(", ")} if ours else set()
 
 
 def misfit(about: str, vehicles: int) -> str:
@@ -38,12 +42,12 @@ def misfit(about: str, vehicles: int) -> str:
 
     Empty if they can, or if it does not say for how many it is.
     """
-    ours = ESTIMATOR_ABOUT.search(about)
-    if not ours or (searching := int(ours[1] or 1)) == vehicles:
+    wanted = searching(about)
+    if wanted in (0, vehicles):
         return ""
     flags = f"with --vehicles {vehicles}" if vehicles > 1 else "without --vehicles"
-    plural = "s" * (searching > 1)
-    return f"is for {searching} vehicle{plural}, and {vehicles} would fly: start it {flags}"
+    plural = "s" * (wanted > 1)
+    return f"is for {wanted} vehicle{plural}, and {vehicles} would fly: start it {flags}"
 
 
 class Berth(NamedTuple):

@@ -3,9 +3,10 @@
 import argparse
 import time
 
+from aircraft.together import searching
 from link import cli
-from link.bus.keys import DEPARTURE, LATECOMER, LEAVE_OUT, OF_VEHICLE
-from link.bus.messages import Departure, Latecomer, LeaveOut, departure_text, latecomer_text
+from link.bus.keys import DEPARTURE, HEALTH, LATECOMER, LEAVE_OUT, OF_VEHICLE
+from link.bus.messages import Departure, Health, Latecomer, LeaveOut, departure_text, latecomer_text
 from link.bus.session import Arrival, Bus
 from link.terminal import printable
 
@@ -44,6 +45,11 @@ def run(args: argparse.Namespace) -> int:
         there = bus.services()
         if "estimator" not in there:
             return cli.failed(f"no estimator on {printable(args.namespace)}")
+        said = [bus.decode(arrival, Health) for arrival in bus.kept(HEALTH, "estimator")]
+        among = max((searching(health.about) for health in said if health), default=0)
+        if among == 1 or (args.late and 0 < among < args.vehicle):
+            several = f"{among} vehicles" if among > 1 else "1 vehicle"
+            raise cli.BadInput(f"K: {args.vehicle} is not allowed; the estimator is for {several}")
         known = sorted(part for part in there if part.startswith(OF_VEHICLE))
         if args.late and f"{OF_VEHICLE}{args.vehicle}" in known:
             raise cli.BadInput(f"--late: uav/{args.vehicle} is there; wanted one that has not come")

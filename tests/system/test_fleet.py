@@ -347,6 +347,20 @@ def test_an_operators_order_leaves_a_vehicle_out(
     assert (status, "has not obeyed within 5 s" in "".join(err)) == (1, True)  # it is the only one left
 
 
+def test_the_estimator_of_one_vehicle_leaves_none_out(
+    start: type[Part],
+    router: str,
+    wait_until: Callable,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    estimator = start("estimator", "--connect", router, "--namespace", "search/1")
+    wait_until(lambda: estimator.says("ready"))
+    for late in ([], ["--late"]):
+        status, _, err = run_sitl(monkeypatch, capsys, "leave-out", "1", *late, "-e", router)
+        assert (status, err) == (2, ["error: K: 1 is not allowed; the estimator is for 1 vehicle"])
+
+
 def test_a_vehicle_that_is_not_of_the_search_stays_on_the_ground_and_says_why(
     start: type[Part], router: str
 ) -> None:
@@ -495,6 +509,8 @@ def test_one_that_comes_late_joins_and_an_estimator_that_starts_again_knows_it(
     wait_until(lambda: watched.take() == -1 and {"estimator", "uav/1"} <= set(watched.states))
     status, _, err = run_sitl(monkeypatch, capsys, "leave-out", "1", "--late", "-e", router)
     assert (status, "uav/1 is there" in "".join(err)) == (2, True)
+    status, _, err = run_sitl(monkeypatch, capsys, "leave-out", "4", "--late", "-e", router)
+    assert (status, err) == (2, ["error: K: 4 is not allowed; the estimator is for 3 vehicles"])
     status, out, _ = run_sitl(monkeypatch, capsys, "leave-out", "2", "--late", "-e", router)
     assert (status, out) == (0, ["uav/2 comes late: the others begin"])
     start(*parts["uav/3"])
