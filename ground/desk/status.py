@@ -155,7 +155,7 @@ def run(args: argparse.Namespace) -> int:
                 with ExitStack() as joined:
                     well = _look(joined, args, shown, known)
             except NoRouter as error:
-                wanted = known or {args.namespace or FIRST: args.parts or PARTS}
+                wanted = known or {args.namespace or FIRST: [*(args.parts or PARTS)]}
                 missing = {
                     name: {part: {"status": MISSING} for part in sorted(parts, key=in_order)}
                     for name, parts in wanted.items()

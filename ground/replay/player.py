@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from aircraft.together import misfit
 from ground.replay import verify
 from ground.replay.source import SERVICES, VEHICLE_KEYS, Source
 from ground.replay.verify import Answer, Difference, Rules
@@ -37,7 +38,15 @@ from link.bus.session import Arrival, Bus, LivelinessChange
 from link.cli import numbers
 from link.record.record import Entry
 from sitl.launch.heard import rate_interval_of
-from sitl.launch.processes import RECORDER, Ended, LogLine, Processes, raise_for, secure_words
+from sitl.launch.processes import (
+    RECORDER,
+    Ended,
+    LogLine,
+    MissionFailed,
+    Processes,
+    raise_for,
+    secure_words,
+)
 from sitl.launch.progress import Progress, pace
 
 ANSWER_TIMEOUT_S = 10.0  # longest wait for an answer, s of real time, or three times the longest recorded one
@@ -268,6 +277,7 @@ class Player:
                 # A service started just now is present once it reports its health: it may compile kernels
                 # first.
                 if (health := self._bus.decode(item, Health)) is not None:
+                    self._check(health)
                     self._present.add(health.service)
                     self._keep(HEALTH.named(health.service), item)
             case Arrival(key, payload, attachment):
@@ -278,6 +288,11 @@ class Player:
                     if answer.kind == "belief" and self._shown_ms < answer.time_ms <= self._latest_ms:
                         self._shown_ms = answer.time_ms
                         self._show(self._bus.decode(item, Belief))
+
+    def _check(self, health: Health) -> None:
+        """Raise MissionFailed if an estimator searches with another number of vehicles."""
+        if health.service == "estimator" and (wrong := misfit(health.about, self._source.vehicles)):
+            raise MissionFailed(f"the estimator on {self._source.namespace} {wrong}")
 
     def _keep(self, key: str, item: Arrival) -> None:
         if key == BELIEF.name:  # only the last one's particles are needed

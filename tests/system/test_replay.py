@@ -495,6 +495,21 @@ class TestOnAnotherBus:
         assert any(line.endswith(": the estimator is gone") for line in err)
         assert any(line.endswith(", is none") for line in out)
 
+    def test_an_estimator_for_another_number_of_vehicles_is_found_out_at_once(
+        self,
+        start,
+        router: str,
+        log: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        start("estimator", "--connect", router, "--vehicles", "2")
+        status, _, err = run_sitl(monkeypatch, capsys, "replay", str(log), "--connect", router)
+        assert (status, err[-1]) == (
+            1,
+            "error: the estimator on uav/1 is for 2 vehicles, and 1 would fly: start it without --vehicles",
+        )
+
     def test_listeners_get_what_the_vehicle_published_to_the_last_byte(
         self, start, router: str, log: Path
     ) -> None:
