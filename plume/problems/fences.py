@@ -115,7 +115,7 @@ def _fence(shapes: Sequence[Shape]) -> GroundFence:
         raise ValueError(f"{len(homes)} points named home; wanted one, where the vehicle takes off")
     polygons = [shape for shape in shapes if shape.rings]
     outs = [shape for shape in polygons if re.sub(r"[\s_-]", "", shape.name).lower().startswith(OUT)]
-    ins = [shape for shape in polygons if shape not in outs]
+    ins = _uncut([shape for shape in polygons if shape not in outs])
     if len(ins) != 1:
         names = ", ".join(repr(shape.name[:40]) for shape in ins[:5])
         raise ValueError(
@@ -130,6 +130,30 @@ def _fence(shapes: Sequence[Shape]) -> GroundFence:
             )
     (home,), (within,) = homes, ins
     return GroundFence(home, within.rings[0], [*within.rings[1:], *(shape.rings[0] for shape in outs)])
+
+
+def _uncut(shapes: Sequence[Shape]) -> Sequence[Shape]:
+    """Return two polygons with a common side at longitude ±180° as one: RFC 7946 has them cut there."""
+    begun = [ring for shape in shapes if (ring := _from_antimeridian(shape.rings[0]))]
+    if len(shapes) != 2 or len(begun) != 2:
+        return shapes
+    one, other = begun
+    if one[0][0] == other[0][0]:  # they run opposite ways around
+        other = other[::-1]
+    if [one[-1], one[0]] != [(lat, -lon) for lat, lon in (other[0], other[-1])]:
+        return shapes
+    holes = [hole for shape in shapes for hole in shape.rings[1:]]
+    return [Shape(shapes[0].name, [[*one, *other[1:-1]], *holes])]
+
+
+def _from_antimeridian(ring: Ring) -> Ring:
+    """Return the corners of a ring from the end of its one side at longitude ±180° to the side's beginning.
+
+    Empty if it has none there, or several.
+    """
+    corners = ring[:-1] if ring[:1] == ring[-1:] else ring
+    at = [k for k in range(len(corners)) if abs(corners[k - 1][1]) == abs(corners[k][1]) == 180]
+    return [*corners[at[0] :], *corners[: at[0]]] if len(at) == 1 else []
 
 
 def of_kml(text: str) -> GroundFence:

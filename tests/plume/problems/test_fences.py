@@ -107,6 +107,49 @@ def test_a_hole_in_the_polygon_to_keep_in_is_kept_out_of(tmp_path: Path) -> None
     assert [len(polygon) for polygon in problem.keep_out] == [3, 4]
 
 
+# The field and a hole in each half, in thousandths of a degree from 180°, 60° N: the halves that RFC 7946 cuts.
+WEST, EAST = [(-2, 0), (0, 0), (0, 2), (-2, 2)], [(0, 0), (2, 0), (2, 2), (0, 2)]
+WEST_HOLE, EAST_HOLE = ([(x, 0.5), (x + 0.5, 0.5), (x + 0.5, 1.5)] for x in (-1.5, 1))
+
+
+def halves(east: list[tuple[float, float]]) -> str:
+    def ring(places: list[tuple[float, float]], side: int) -> list[list[float]]:
+        return [[round(side * 180 + x / 1000, 7), 60 + y / 1000] for x, y in (*places, places[0])]
+
+    west = [ring(WEST, 1), ring(WEST_HOLE, 1)]
+    features = [
+        geometry("MultiPolygon", [west, [ring(east, -1), ring(EAST_HOLE, -1)]]),
+        geometry("Point", [-179.9999, 60.0]) | {"properties": {"name": "home"}},
+    ]
+    return geojson(features=features)
+
+
+@pytest.mark.parametrize("east", [EAST, EAST[::-1], EAST[2:] + EAST[:2]], ids=["same", "against", "turned"])
+def test_a_fence_that_is_cut_at_the_antimeridian_is_whole(
+    east: list[tuple[float, float]], tmp_path: Path
+) -> None:
+    """Home is a tenth of a thousandth of a degree, 5.56 m, east of it."""
+    problem = of(tmp_path, "yard.geojson", halves(east))
+    assert problem.area.low == pytest.approx((-2.1 * EAST_M, 0), abs=0.02)
+    assert problem.area.high == pytest.approx((1.9 * EAST_M, 2 * NORTH_M), abs=0.02)
+    x, y = np.array(problem.keep_in).T
+    around = (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2  # Gauss's area formula
+    assert abs(around) == pytest.approx(4 * EAST_M * 2 * NORTH_M, rel=1e-3)
+    assert [len(polygon) for polygon in problem.keep_out] == [3, 3]
+
+
+def test_a_polygon_without_corners_beside_another_is_one_of_two(tmp_path: Path) -> None:
+    features = [geometry("MultiPolygon", [[[]], [lon_lat(FIELD)]]), json.loads(geojson())["features"][-1]]
+    with pytest.raises(ValueError, match="2 polygons to keep in"):
+        of(tmp_path, "yard.geojson", geojson(features=features))
+
+
+def test_polygons_that_only_touch_the_antimeridian_stay_two(tmp_path: Path) -> None:
+    """The eastern one has its side 0.1 thousandths of a degree further north."""
+    with pytest.raises(ValueError, match="2 polygons to keep in"):
+        of(tmp_path, "yard.geojson", halves([(x, y + 0.1) for x, y in EAST]))
+
+
 def geometry(kind: str, places: Any) -> dict:
     return {"type": "Feature", "properties": None, "geometry": {"type": kind, "coordinates": places}}
 
