@@ -6,6 +6,7 @@ import errno
 import gc
 import io
 import os
+import re
 import resource
 import select
 import sys
@@ -47,7 +48,14 @@ class Command(NamedTuple):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argparse parser that answers bad input with one line, with the nearest name if one is near."""
+    """An argparse parser that answers bad input with one line, with the nearest name if one is near.
+
+    A word such as -35.3,149.1 is a value, as -35.3 alone is.
+    """
+
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self._negative_number_matcher = re.compile(r"-\.?[0-9]")
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong in one line and exit with status 2."""

@@ -2,6 +2,7 @@
 and status 2.
 """
 
+import argparse
 import os
 import signal
 import subprocess
@@ -197,3 +198,12 @@ def test_what_comes_within_an_uninterrupted_block_is_told_there_and_interrupts_a
     with pytest.raises(KeyboardInterrupt):
         block()
     assert told == [signal.SIGTERM, signal.SIGINT]
+
+
+@pytest.mark.parametrize("value", ["-35.3,149.1", "-.5,2", "-1;2", "-7"])
+def test_a_value_that_begins_with_a_minus_may_stand_behind_its_flag(value: str) -> None:
+    parser = cli.Parser()
+    parser.add_argument("--home")
+    parser.add_argument("-I")
+    assert parser.parse_args(["--home", value, "-I", "2"]) == argparse.Namespace(home=value, I="2")
+    assert parser.parse_args(["--home", value, "-I2"]) == argparse.Namespace(home=value, I="2")
