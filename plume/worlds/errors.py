@@ -100,12 +100,14 @@ def beyond(seed: int, problem: Problem = PAPER) -> tuple[float, float]:
     return (across_m, along_m) if across == 0 else (along_m, across_m)
 
 
-def second(seed: int, problem: Problem = PAPER) -> tuple[float, float]:
-    """Draw a place in the area that is away from the source of the seed's scenario, (x, y) m.
+def second(
+    seed: int, problem: Problem = PAPER, first: tuple[float, float] | None = None
+) -> tuple[float, float]:
+    """Draw a place in the area that is away from the first source, (x, y) m: from the seed's, if not given.
 
     It is a sixth to a half of the area's side away, in Table 1's area 5 to 15 m.
     """
-    first, rng, area = draw(seed, problem).source, keyed(seed, "second source"), problem.area
+    first, rng, area = first or draw(seed, problem).source, keyed(seed, "second source"), problem.area
     for _ in range(MOST_DRAWS):
         x, y = uniform(rng, np.array(area.low), np.array(area.high)).tolist()
         if area.side_m / 6 <= math.dist((x, y), first) <= area.side_m / 2 and problem.may_leak((x, y)):

@@ -2,11 +2,12 @@
 
 import math
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, partial
+from itertools import chain
 from pathlib import Path
 
 import msgspec
@@ -14,13 +15,14 @@ import numpy as np
 
 from plume.elementary import Array, direction, float32
 from plume.flight import usual_s
-from plume.problem import PAPER, Problem
+from plume.problem import PAPER, Place, Problem
 from plume.randomness import Abreast, Keyed, derived_seed, keyed, seed_of, uniform
 from plume.scenario import AS_MODELLED, BrokenFile, NoRelease, Scenario, WorldError, draw
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import GAUSSIAN, Sensor
 from plume.sensors.sensor import Hits, Threshold
 from plume.worlds.air import Air, Both, Steady, gas_of
+from plume.worlds.errors import second
 from plume.worlds.exposure import Before, is_timed, met
 from plume.worlds.names import Named, named
 
@@ -76,11 +78,17 @@ class World:
             d=wrong.d * scenario.d,
             tau=wrong.tau * scenario.tau,
         )
-        self.air = self._released(chosen)
+        source, self.air = self._released(chosen, self.truth.source, seed, self._sources(chosen))
+        self.truth = msgspec.structs.replace(self.truth, source=source)
         if wrong.second:
-            self.truth = msgspec.structs.replace(self.truth, second=wrong.second)
-            other = msgspec.structs.replace(self.truth, source=wrong.second)
-            self.air = Both(self.air, chosen.air(other, derived_seed(seed, "second source")))
+            other_seed = derived_seed(seed, "second source")
+            others = (
+                second(derived_seed(seed, f"second source {number}"), problem, source)
+                for number in range(DRAWN_ANEW)
+            )
+            place, other = self._released(chosen, wrong.second, other_seed, others)
+            self.truth = msgspec.structs.replace(self.truth, second=place)
+            self.air = Both(self.air, other)
         told = scenario.wind
         self.wind: WindVector = (float32(told[0]), float32(told[1]))
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
@@ -101,21 +109,31 @@ class World:
             self._instrument = noisy, wrong.cv is None or of_time
         self._strengths: list[float] = []
 
-    def _released(self, chosen: Named) -> Air:
-        """Return the air. A source that was drawn where no gas can leave is drawn anew, as `draw` does.
+    def _released(
+        self, chosen: Named, source: Place, seed: int, others: Iterable[Place]
+    ) -> tuple[Place, Air]:
+        """Return a source and its air: the first of the others where gas can leave, if it cannot there.
 
-        Raises NoRelease if the scenario says where it is.
+        Raises NoRelease if it can nowhere.
         """
-        rng = keyed(self.seed, "source drawn anew")
-        for _ in range(DRAWN_ANEW):
+        for place in chain([source], others):
             with suppress(NoRelease):
-                return chosen.air(self.truth, self.seed)
-            if self.scenario.source != draw(self.seed, self.problem).source or self.errors.source:
-                break
-            low, high = self.problem.spans
+                return place, chosen.air(msgspec.structs.replace(self.truth, source=place), seed)
+        return source, chosen.air(msgspec.structs.replace(self.truth, source=source), seed)
+
+    def _sources(self, chosen: Named) -> Iterator[Place]:
+        """Draw the source anew, as it was drawn; never, if the scenario says where it is."""
+        problem, scenario, rng = self.problem, self.scenario, keyed(self.seed, "source drawn anew")
+        if not self.errors.source and scenario.source != draw(self.seed, problem).source:
+            return
+        low, high = problem.spans
+        for number in range(DRAWN_ANEW):
+            other_seed = derived_seed(self.seed, f"source drawn anew {number}")
+            if place := self.errors.source and chosen.errors(other_seed, problem).source:
+                yield place
+                continue
             x, y = uniform(rng, low[:2], high[:2]).tolist()
-            self.truth = msgspec.structs.replace(self.truth, source=(x, y))
-        return chosen.air(self.truth, self.seed)
+            yield problem.allowed(other_seed, (x, y), scenario.start)[0]
 
     @property
     def is_steady(self) -> bool:

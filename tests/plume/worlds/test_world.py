@@ -1,5 +1,6 @@
 """Protects keyed randomness and the world: a reading depends only on (seed, step, position)."""
 
+from math import dist
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from plume.dispersion import concentration
+from plume.problem import Area, Problem
 from plume.randomness import Keyed, derived_seed, keyed
 from plume.scenario import draw
 from plume.sensors.names import GAUSSIAN, Sensor, text
@@ -69,6 +71,58 @@ def test_a_reading_is_what_the_sensor_makes_of_the_concentration_with_the_noise_
         for sensor in (GAUSSIAN, Threshold(0.1, 0.2), Hits()):
             expected = float(sensor.measure(mean, keyed(seed, "sensor", 3)))
             assert World(s, seed, sensor).gas(position, 3) == np.float32(expected)
+
+
+@pytest.mark.parametrize("name", ["source-outside", "source-beyond", "two-sources"])
+def test_a_source_that_is_wrong_or_second_is_drawn_anew_as_it_was_drawn_where_a_building_is(
+    tmp_path: Path, name: str
+) -> None:
+    footprints = [[[-9, y], [39, y], [39, y + 5], [-9, y + 5]] for y in (-4, 6, 16, 26)]
+    file = tmp_path / "rows.yaml"
+    file.write_text(f"buildings: [{', '.join(f'{{footprint: {each}, height: 9}}' for each in footprints)}]")
+    anew = 0
+    for seed in range(20):
+        plain = World(draw(seed), seed, name=name).truth
+        among = World(draw(seed), seed, name=f"walls:file={file}+{name}").truth
+        for first, place in ((plain.source, among.source), (plain.second, among.second)):
+            if first is None or place is None:
+                assert first == place
+                continue
+            is_inside = (first[1] + 4) % 10 < 5
+            assert (place[1] + 4) % 10 >= 5
+            assert is_inside or place == first
+            anew += is_inside
+        x, y = among.source
+        if name == "source-beyond":
+            assert 2 <= max(-x, x - 30, -y, y - 30) <= 6
+        elif name == "source-outside":
+            assert min(x, y) >= 0
+            assert max(x, y) <= 30
+            assert not (10 <= x <= 25 and 10 <= y <= 25)
+        else:
+            assert among.second
+            assert 5 <= dist(among.source, among.second) <= 15 or among.source != plain.source
+    assert anew > 3
+
+
+def test_a_source_that_is_drawn_anew_is_where_the_problem_expects_it(tmp_path: Path) -> None:
+    """The prior is the half of a square below its diagonal, less what is kept out of."""
+    problem = Problem(
+        area=Area((0.0, 0.0), (30.0, 30.0)),
+        prior=((5.0, 5.0), (25.0, 5.0), (25.0, 25.0)),
+        keep_out=(((21.0, 6.0), (24.0, 6.0), (24.0, 12.0), (21.0, 12.0)),),
+    )
+    file = tmp_path / "site.yaml"
+    file.write_text("buildings: [{footprint: [[10, 4], [18, 4], [18, 20], [10, 20]], height: 9}]")
+    anew = 0
+    for seed in range(40):
+        scenario = draw(seed, problem)
+        x, y = World(scenario, seed, name=f"walls:file={file}", problem=problem).truth.source
+        anew += (x, y) != scenario.source
+        assert 5 <= y <= x <= 25
+        assert not (21 < x < 24 and 6 < y < 12)
+        assert not (10 <= x < 18 and y < 20)
+    assert anew > 5
 
 
 def test_streams_of_one_seed_are_uncorrelated() -> None:
