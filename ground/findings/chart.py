@@ -16,6 +16,8 @@ from link.terminal import printable
 
 WIDTH = 720.0  # of the drawing, in its own units
 LEFT, BELOW, ABOVE, RIGHT = 46.0, 34.0, 12.0, 96.0  # around the map
+FLATTEST, TALLEST = 0.46, 1.6  # a map's height by its width: the legend fits beside it, and it on a page
+NAME = 36.0, 12.0  # width and height of a vehicle's name
 FURTHEST = 3.0  # what lies further beyond the area, in sides of it, is cut off
 MOST_POINTS = 4000  # of a track; of a longer one every n-th
 MOST_DOTS = 1000  # particles that are drawn
@@ -92,9 +94,7 @@ def rates_map(it: Findings) -> str:
     """Return the map of the smallest rates that would have been seen; empty if there are none."""
     if it.smallest is None:
         return ""
-    (west, south), (east, north) = it.area.low, it.area.high
-    pad = 0.04 * max(it.area.size_m)
-    view = View(west - pad, south - pad, east + pad, north + pad)
+    view = _framed(it.area.low, it.area.high)
     seen = it.smallest.seen
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (1.0, 10.0)
     width, height = (length * view.scale for length in it.smallest.cell_m)
@@ -125,9 +125,17 @@ def _view(it: Findings) -> View:
     reach = FURTHEST * max(it.area.size_m)
     every = np.concatenate(places)
     every = np.clip(every[np.isfinite(every).all(axis=1)], low - reach, high + reach)
-    (west, south), (east, north) = every.min(axis=0).tolist(), every.max(axis=0).tolist()
+    return _framed(every.min(axis=0).tolist(), every.max(axis=0).tolist())
+
+
+def _framed(low: Sequence[float], high: Sequence[float]) -> View:
+    """Return a view of a rectangle and what is around it."""
+    (west, south), (east, north) = low, high
     pad = 0.04 * max(east - west, north - south)
-    return View(west - pad, south - pad, east + pad, north + pad)
+    width, height = east - west + 2 * pad, north - south + 2 * pad
+    beside = pad + max(height / TALLEST - width, 0.0) / 2
+    below = pad + max(width * FLATTEST - height, 0.0) / 2
+    return View(west - beside, south - below, east + beside, north + below)
 
 
 # ---- parts ----
@@ -274,18 +282,18 @@ def _names(view: View, it: Findings) -> list[str]:
     if len(it.flight.tracks) == 1:
         return []
     first = {sample.vehicle: sample.place for sample in reversed(it.flight.samples)}
-    return [
-        _text(
-            view.x(first[number][0]) + 7,
-            view.y(first[number][1]) - 7,
-            f"uav/{number}",
-            colour=colour,
-            on_map=True,
-        )
-        for number in it.flight.tracks
-        if number in first
-        for colour in [_track_colour(number)]
-    ]
+    width, height = NAME
+    names: list[str] = []
+    taken: list[tuple[float, float]] = []
+    for number in sorted(first.keys() & it.flight.tracks.keys()):
+        x, y = view.x(first[number][0]) + 7, view.y(first[number][1]) - 7
+        x = min(x, WIDTH - RIGHT - width)
+        on = -height if y > view.height / 2 else height  # away from the names that are there, into the map
+        while any(abs(x - left) < width and abs(y - base) < height for left, base in taken):
+            y += on
+        taken.append((x, y))
+        names.append(_text(x, y, f"uav/{number}", colour=_track_colour(number), on_map=True))
+    return names
 
 
 def _track_colour(number: int) -> str:

@@ -82,9 +82,10 @@ class Flight(NamedTuple):
         """How often was read, in words."""
         taken = Counter(sample.vehicle for sample in self.samples)
         if len(taken) == 1:
-            return f"{self.last.step + 1} readings"
+            return f"{self.last.step + 1} reading{'s' * (self.last.step > 0)}"
         if len({*taken.values()}) == 1:
-            return f"{taken[min(taken)]} readings of each of {len(taken)} vehicles"
+            count = taken[min(taken)]
+            return f"{count} reading{'s' * (count > 1)} of each of {len(taken)} vehicles"
         return f"{taken.total()} readings of {len(taken)} vehicles"
 
     @property

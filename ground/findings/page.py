@@ -203,10 +203,10 @@ def _not_found(it: Findings) -> str:
     lines = "".join(f"<p>{_e(line)}</p>\n" for line in smallest_text(it))
     return _section(
         "The smallest rate that this flight would have seen",
-        f"{lines}<figure>{rates_map(it)}<figcaption>The smallest release rate that would have been seen with "
-        f"90% probability, by place; grey: none. {_e(METHOD[0].upper() + METHOD[1:])}; wind, lifetime, noise "
-        f"and intermittency are those of the last belief, d = {significant(it.last.diffusivity)} m²/s as "
-        "told.</figcaption></figure>",
+        f'{lines}<div class="maps"><figure>{rates_map(it)}<figcaption>The smallest release rate that would '
+        f"have been seen with 90% probability, by place; grey: none. {_e(METHOD[0].upper() + METHOD[1:])}; "
+        "wind, lifetime, noise and intermittency are those of the last belief, "
+        f"d = {significant(it.last.diffusivity)} m²/s as told.</figcaption></figure></div>",
     )
 
 

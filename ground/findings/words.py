@@ -76,7 +76,9 @@ def smallest_text(it: Findings) -> list[str]:
     if len(seen) == size:
         lines.append(f"Anywhere in the area a source of {both_rates(greatest)} would have been seen.")
     else:
-        lines.append(f"In {100 * (1 - len(seen) / size):.0f}% of the area no rate would have been seen.")
+        unseen = 100 * (1 - len(seen) / size)
+        told = rounded(unseen, 0 if 1 <= unseen <= 99 else 1)
+        lines.append(f"In {told}% of the area no rate would have been seen.")
     if it.smallest.every > 1:
         lines.append(f"Of the readings every {it.smallest.every}th counts, so the rates are too great.")
     return lines

@@ -286,7 +286,8 @@ def _text(result: Player, source: Source, rules: Rules | None, took_s: float) ->
             == "outside"
         ):
             ceased += f": {outside_text(last.outside, source.problem.area.beyond(last.mean))}"
-        outcome = f"{last.step + 1} readings, {ceased}\nestimate ({x:.2f}, {y:.2f}) ± {last.spread:.2f} m"
+        readings = f"{last.step + 1} reading{'s' * (last.step > 0)}"
+        outcome = f"{readings}, {ceased}\nestimate ({x:.2f}, {y:.2f}) ± {last.spread:.2f} m"
         if source.truth:
             outcome += (
                 f"\nsource   ({source.truth[0]:.2f}, {source.truth[1]:.2f}), error "

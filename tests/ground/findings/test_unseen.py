@@ -13,6 +13,7 @@ from ground.findings.flight import Flight
 from ground.findings.page import sentence
 from ground.findings.unseen import CLEAR, Smallest, Supposed, smallest_rate, smallest_rates, spike_density
 from ground.findings.verdict import NOT_FOUND, Judgement
+from ground.findings.words import smallest_text
 from plume.dispersion import concentration
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.problem import AREA
@@ -127,6 +128,9 @@ def test_the_median_rate_suffices_in_half_of_the_area_and_is_null_where_that_see
     said = sentence(replace(findings(), smallest=most, verdict=Judgement(NOT_FOUND, "None.")))
     assert "; in half of the area 110 g/s (410 kg/h) or less." in said
     assert "In 11% of the area no rate would have been seen." in said
+    for seen, share in ((224, "0.4%"), (1, "99.6%")):  # 1/225 and 224/225
+        nearly = replace(findings(), smallest=cells(*range(1, seen + 1)))
+        assert f"In {share} of the area no rate would have been seen." in smallest_text(nearly)
 
 
 @pytest.mark.full

@@ -73,6 +73,7 @@ def test_a_fleet_of_which_one_left_is_said_to_have_read_as_often_as_it_has() -> 
     both = [sample._replace(vehicle=number) for number in (1, 2) for _ in range(3)]
     assert flight._replace(samples=both).read_text == "3 readings of each of 2 vehicles"
     assert flight._replace(samples=both[:4]).read_text == "4 readings of 2 vehicles"
+    assert flight._replace(samples=both[::3]).read_text == "1 reading of each of 2 vehicles"
 
 
 def test_not_found_in_a_record_that_is_cut_off_says_what_that_means() -> None:
