@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from PIL import Image
 
-from tests.view.conftest import Window
+from tests.view.conftest import PHONE, Window
 from tests.view.stage import RELEASE, Stage, cloud, measured, scene, states
 
 MAP = "plumeward.panes.get('uav/1').map"
@@ -99,6 +99,32 @@ def test_a_small_belief_is_seen_large_in_a_corner_and_fills_the_map_when_asked_f
     window.until(f"!{MAP}.inset")
     assert window.of(f"{MAP}.view.scale") > 100
     assert window.page.get_by_role("button", name="To the belief").get_attribute("aria-pressed") == "true"
+
+
+def test_the_inset_of_a_small_belief_hides_no_vehicle_on_a_phone(
+    stage: Stage, look: Callable[..., Window]
+) -> None:
+    """The belief is in the north-west; first uav/1 is in the far corner, then uav/2 in the other, too."""
+    near = replace(measured(6, 0.2, estimate=(10.0, 20.0)), covariance=(0.02, 0.0, 0.02))
+    places = {"uav/1": (27.0, 3.0), "uav/2": (10.0, 27.0)}
+    for name, place in places.items():
+        craft = replace(scene().craft, position=place)
+        stage.enter(replace(scene(name), craft=craft, waypoint=None), "search")
+    stage.vehicles["uav/1"].show(measurements=(*scene().measurements, near))
+    window = drawn(look(stage.address, PHONE, has_touch=True, is_mobile=True))
+    for other in ((10.0, 27.0), (3.0, 3.0)):
+        stage.vehicles["uav/2"].show(craft=replace(scene().craft, position=other))
+        window.until(f"{MAP}.inset && {MAP}.others[0]?.scene?.craft.x === {other[0]}")
+        window.drawn()
+        left, top, side = window.of(f"[{MAP}.inset.left, {MAP}.inset.top, {MAP}.inset.width]")
+        for x, y in (places["uav/1"], other, (10.0, 20.0)):
+            px, py = window.of(f"[{MAP}.view.x({x}), {MAP}.view.y({y})]")
+            assert not (left - 8 < px < left + side + 8 and top - 8 < py < top + side + 8)
+        width, height = window.of(f"[{MAP}.width, {MAP}.height]")
+        assert left > 0
+        assert top > 0
+        assert left + side < width
+        assert top + side < height
 
 
 def test_what_is_under_the_pointer_is_told(window: Window) -> None:

@@ -6,6 +6,7 @@ import { extent, isPlaced } from "./view.js";
 const SHADES = 10; // of particles
 const EARLIER = 12; // readings whose winds are shown, pale, behind the newest
 const LINE = 14; // px between two lines of words
+const APART = 6; // px between two names in a line
 const POINTS = ["N", "NE", "E", "SE", "S", "SW", "W", "NW"];
 
 /** A round number of metres, at least `least`: 1, 2 or 5 times a power of ten. */
@@ -265,7 +266,7 @@ export function name(g, view, { x, y }, text, there) {
   const wide = g.measureText(text).width, fits = view.x(x) + 12 + wide < g.canvas.clientWidth;
   const left = view.x(x) + (fits ? 12 : -12 - wide), right = left + wide;
   let bottom = view.y(y) - 12;
-  while (there.some(([from, at, to]) => left < to && right > from && Math.abs(at - bottom) < LINE)) bottom -= LINE;
+  while (there.some(([from, at, to]) => left < to + APART && right > from - APART && Math.abs(at - bottom) < LINE)) bottom -= LINE;
   there.push([left, bottom, right]);
   label(g, text, left, bottom, "left", "bottom");
 }

@@ -8,6 +8,7 @@ import { Camera, extent, followHands, isPlaced, moved, reach, viewOf } from "./v
 
 const FONT = "12px system-ui, sans-serif";
 const SMALL = 16; // px: a belief that reaches less far from the estimate gets an inset
+const BESIDE = 14; // px that an inset stays from vehicles and from the belief
 const NEAR = 11; // px from a reading that the pointer is at
 const DECADES = 3; // of gas, in the true plume
 
@@ -54,7 +55,7 @@ export class WorldMap {
     draw.numbers(g, view, this.width, this.height);
     draw.scaleBar(g, view, this.width, this.height);
     draw.wind(g, scene.wind, model.measurements, this.width);
-    this.inset = this.insetOf(scene, view);
+    this.inset = this.insetOf(scene, view, others);
     if (this.inset) this.drawInset(g, model, others);
     this.canvas.setAttribute("aria-label", inWords(scene, others));
     this.tell();
@@ -89,14 +90,22 @@ export class WorldMap {
     }
   }
 
-  /** The window of the inset in px, null where none is wanted. It lies in the lower corner that is farther from the belief. */
-  insetOf(scene, view) {
+  /**
+   * The window of the inset in px, null where none is wanted. It lies in the lower corner that is farther from the belief, in the other one,
+   * or in the upper left one: the first where it hides no vehicle.
+   */
+  insetOf(scene, view, others) {
     if (!scene.estimate || this.camera.mode === "belief") return null;
     const radius = reach(scene.estimate);
     if (radius * view.scale >= SMALL) return null;
     const side = Math.round(Math.max(96, Math.min(190, 0.3 * Math.min(this.width, this.height))));
-    const left = view.x(scene.estimate.x) < this.width / 2 ? this.width - side - 12 : 46;
-    return { left, top: this.height - side - 58, width: side, height: side, scale: side / Math.max(1, 5 * radius) };
+    const low = this.height - side - 58, corners = [[46, low], [this.width - side - 12, low]];
+    if (view.x(scene.estimate.x) < this.width / 2) corners.reverse();
+    corners.push([28, 44]); // below the wind, beside the buttons of a phone
+    const places = [scene.estimate, placeOf(scene, scene), ...others.map((one) => placeOf(scene, one.scene))].filter(Boolean);
+    const hides = ([left, top]) => places.some(({ x, y }) => Math.abs(view.x(x) - left - side / 2) < side / 2 + BESIDE && Math.abs(view.y(y) - top - side / 2) < side / 2 + BESIDE);
+    const [left, top] = corners.find((corner) => !hides(corner)) ?? corners[0];
+    return { left, top, width: side, height: side, scale: side / Math.max(1, 5 * radius) };
   }
 
   drawInset(g, model, others) {
