@@ -45,8 +45,8 @@ def explained(error: Exception, value: Any, kind: type) -> tuple[Fields, str]:
     if said.startswith("Object contains unknown"):
         known = _chosen(schema, value)["properties"]
         name = next(name for name in value if name not in known)
-        return [*fields, name], f"unknown field{_nearest(name, known, 'allowed')}: {', '.join(known)}"
-    near = _nearest(value, _choices(schema), "wanted")
+        return [*fields, name], f"unknown field{nearest(name, known, 'allowed')}: {', '.join(known)}"
+    near = nearest(value, _choices(schema), "wanted")
     return fields, f"{short(repr(value), LONGEST)} is not allowed{near} {_wanted(schema)}"
 
 
@@ -57,6 +57,13 @@ def dotted(fields: Fields) -> str:
     )
 
 
+def nearest(name: Any, known: Iterable[Any], then: str) -> str:
+    """Return what leads to the list of known names: "; wanted", after the one that is near, if any."""
+    is_name = isinstance(name, str) and len(name) <= LONGEST
+    near = difflib.get_close_matches(name, map(str, known), 1, cutoff=0.5) if is_name else []
+    return f"; did you mean {near[0]!r}? {then.capitalize()}" if near else f"; {then}"
+
+
 def shown(name: str) -> str:
     """Return a name in a form that fits into one short line."""
     return short(name if name.isprintable() else repr(name), LONGEST)
@@ -65,13 +72,6 @@ def shown(name: str) -> str:
 def short(text: str, length: int) -> str:
     """Return the text, cut to `length` characters with an ellipsis."""
     return text if len(text) <= length else text[: length - 3] + "..."
-
-
-def _nearest(name: Any, known: Iterable[Any], then: str) -> str:
-    """Return what leads to the list of known names: "; wanted", after the nearest of them if one is near."""
-    is_name = isinstance(name, str) and len(name) <= LONGEST
-    near = difflib.get_close_matches(name, map(str, known), 1, cutoff=0.5) if is_name else []
-    return f"; did you mean {near[0]!r}? {then.capitalize()}" if near else f"; {then}"
 
 
 def _schema(kind: type) -> Schema:

@@ -1,6 +1,5 @@
 """Problems by name: `paper`, a YAML file, or JSON, as flags, functions and environments take them."""
 
-import difflib
 import os
 import re
 import stat
@@ -14,6 +13,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import MappingNode, SequenceNode
 
+from plume.mistakes.explained import nearest
 from plume.problem import PAPER, Problem
 from plume.problems import fences
 from plume.scenario import AS_MODELLED
@@ -67,9 +67,7 @@ def of_file(name: str) -> Problem:
     path = Path(name)
     kind = path.suffix.lower()
     if not os.path.lexists(path) and re.fullmatch(r"[\w-]+", name):
-        near = difflib.get_close_matches(name, PROBLEMS, 1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}? Wanted" if near else "wanted"
-        raise ValueError(f"{name!r} is no problem and no file; {hint} {FORMS}")
+        raise ValueError(f"{name!r} is no problem and no file{nearest(name, PROBLEMS, 'wanted')} {FORMS}")
     try:
         with open(path, "rb", opener=lambda file, flags: os.open(file, flags | os.O_NONBLOCK)) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
@@ -123,9 +121,7 @@ def _made(fields: Any) -> Problem:
         raise ValueError(f"{fields!r:.60} is not allowed; wanted {wanted}")
     for name in fields:
         if name not in FIELDS:
-            near = difflib.get_close_matches(str(name), FIELDS, 1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}? Wanted" if near else "wanted"
-            raise ValueError(f"unknown field {name!r:.60}; {hint} {wanted}")
+            raise ValueError(f"unknown field {name!r:.60}{nearest(name, FIELDS, 'wanted')} {wanted}")
     problem = Problem(**fields)
     check(problem)
     return problem

@@ -3,7 +3,6 @@
 All commands, scripts, environments and functions take these names.
 """
 
-import difflib
 import inspect
 import math
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple
 
+from plume.mistakes.explained import nearest
 from plume.problem import PAPER, Problem
 from plume.scenario import AS_MODELLED, NoRelease, Scenario, draw
 from plume.worlds.air import Air, Make, Steady
@@ -133,9 +133,7 @@ def _made(kind: str) -> Make:
     if kind in GASES:
         return _load(GASES[kind])
     if not entry_points(group=PLUGINS, name=kind):
-        near = difflib.get_close_matches(kind, kinds(), 1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}? Wanted" if near else "wanted"
-        raise ValueError(f"no world {kind!r}; {hint} {', '.join(kinds())}")
+        raise ValueError(f"no world {kind!r}{nearest(kind, kinds(), 'wanted')} {', '.join(kinds())}")
     return _plugged_in(kind)
 
 
