@@ -130,7 +130,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     cli.add_output_guard(parser)
     parser.add_argument(
-        "--sysid", type=cli.whole(1, 255), metavar="N", help="tlog: which vehicle (default: the only one)"
+        "--sysid",
+        type=cli.whole(1, 255),
+        metavar="N",
+        help="tlog: which vehicle (default: the one of most positions)",
     )
     parser.add_argument(
         "--gas",
@@ -189,7 +192,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     cli.add_filter_arguments(parser)
     for flag, name, metavar, what in (
-        ("--rate", "q", "Q", "release rate q (default: the plume's, or 300 g/s)"),
+        (
+            "--rate",
+            "q",
+            "Q",
+            "release rate q (default: the plume's; of gas in a unit unknown, 1 kg/h; else 300 g/s)",
+        ),
         ("--diffusivity", "d", "D", "diffusivity d (default: the plume's, or 4.5 m²/s)"),
         ("--lifetime", "tau", "TAU", "lifetime τ of the gas (default: the plume's, or 10 s)"),
     ):
@@ -198,8 +206,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sensor",
         type=cli.checked(sensor.parse),
         metavar="KIND[:NUMBERS]",
-        help="gaussian, threshold or hits, each with its numbers if wanted (default: the plume's, or "
-        "gaussian)",
+        help="gaussian, threshold or hits, each with its numbers if wanted (default: the plume's; of gas in "
+        "a unit gaussian or tdlas, with the noise of this flight; else gaussian)",
     )
     parser.add_argument(
         "--seed",
