@@ -681,6 +681,23 @@ def test_all_is_reached_by_keyboard_and_the_focus_is_seen(window: Window) -> Non
     assert window.of("plumeward.answers[0].command") == "hold"
 
 
+def test_the_help_begins_at_its_top_where_the_window_is_lower_than_it(
+    stage: Stage, look: Callable[..., Window]
+) -> None:
+    stage.enter(scene())
+    window = drawn(look(stage.address, PHONE))
+    window.page.keyboard.press("?")
+    window.until("document.querySelector('#help').open")
+    top, height = window.of(
+        "[document.querySelector('#help-title').getBoundingClientRect().top, innerHeight]"
+    )
+    assert 0 <= top < height / 2
+    window.page.keyboard.press("Tab")
+    assert window.of("document.activeElement.textContent") == "Close"
+    window.page.keyboard.press("Enter")
+    window.until("!document.querySelector('#help').open")
+
+
 @pytest.mark.full
 def test_always_the_newest_and_never_a_backlog(stage: Stage, window: Window) -> None:
     actor = stage.vehicles["uav/1"]
