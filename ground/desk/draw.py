@@ -53,11 +53,11 @@ def run(args: argparse.Namespace) -> int:
         return cli.failed("draw needs matplotlib: pip install 'plumeward[view]'")
     if args.mp4 and shutil.which("ffmpeg") is None:
         return cli.failed("--mp4 needs the program ffmpeg, which is not installed; --gif needs nothing more")
+    histories, damaged = _histories(args.log)
     if args.out is None and not (args.gif or args.mp4):
         args.out = args.log.with_suffix(".png")
     flags = (("--out", args.out), ("--gif", args.gif), ("--mp4", args.mp4))
     wanted = {flag: path for flag, path in flags if path}
-    histories, damaged = _histories(args.log)
     for flag, path in wanted.items():
         if refusal := cli.unwritable(flag, [path], args.force):
             raise cli.BadInput(refusal)

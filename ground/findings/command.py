@@ -66,7 +66,6 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.bounds and not args.background:
         raise cli.BadInput("--bounds: only with --background")
-    folder = args.out or args.log.with_name(f"{args.log.stem}-findings")
     try:
         if not is_record(args.log):
             raise cli.BadInput(
@@ -79,6 +78,7 @@ def run(args: argparse.Namespace) -> int:
     if flight is None:
         raise cli.BadInput(f"{args.log} has no belief that can be read: there was no search")
     picture = _background(args, flight)
+    folder = args.out or args.log.with_name(f"{args.log.stem}-findings")
     refuse(folder, args.force)
     it = findings_of(flight)
     results = sys.stderr if args.json else sys.stdout

@@ -99,7 +99,11 @@ def run(args: argparse.Namespace) -> int:
     bundle = folder / f"{args.algorithm}.zip"
     try:
         claimed = claim(folder, recipe, args.seed)
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise cli.BadInput(
+            f"--out: {str(folder)!r}: {error.strerror}; wanted a folder that can be written"
+        ) from error
+    except ValueError as error:
         raise cli.BadInput(f"--out: {error}") from error
     with claimed:
         _tell_of_steps(args.steps, recipe)

@@ -689,6 +689,16 @@ def test_one_process_at_a_time_trains_in_a_folder(
     claim(Path("run"), PRESETS["tuned"]["ppo"], 0).close()
 
 
+def test_a_file_is_no_folder_to_train_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.csv").write_text("a,b\n")
+    ended = told(capsys, monkeypatch, "train", "ppo", "--out", "mine.csv")
+    said = "error: --out: 'mine.csv': File exists; wanted a folder that can be written\n"
+    assert ended == (2, "", said)
+
+
 @pytest.mark.parametrize("name", ["ppo.zip", "checkpoint-000000100000"])
 def test_what_was_not_trained_in_a_folder_is_not_taken_for_its_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str

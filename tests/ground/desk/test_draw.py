@@ -108,6 +108,11 @@ def test_what_cannot_be_drawn_is_one_line(
     assert capsys.readouterr() == ("", error)
 
 
+def test_a_folder_is_no_log(capsys: pytest.CaptureFixture[str]) -> None:
+    assert drawn(".") == 2
+    assert capsys.readouterr().err.startswith("error: . is not a file that can be read as a log; wanted ")
+
+
 def test_a_file_without_a_belief_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "notes.mcap").write_text("milk, bread")
     for name in ("nowhere.mcap", "notes.mcap"):

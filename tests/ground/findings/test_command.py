@@ -51,6 +51,7 @@ def test_the_json_is_one_line_on_stdout(log: Path, capsys: pytest.CaptureFixture
     [
         (["none.mcap"], "none.mcap: No such file or directory"),
         (["empty.mcap"], "empty.mcap is empty"),
+        (["."], ". is not a file that can be read as a log"),
         (["text.tlog"], "plumeward replay text.tlog --findings DIR"),
         (["log.mcap", "--bounds", "1,2,3,4"], "--bounds: only with --background"),
         (["log.mcap", "--background", "none.png"], "--background: none.png: No such file"),
