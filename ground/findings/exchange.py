@@ -312,7 +312,7 @@ def kml(it: Findings) -> str:
     return (
         '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2">\n<Document>\n'
         f"<name>{_xml(f'Plumeward: {it.flight.path.name}')}</name>\n"
-        f"<description>{_xml(it.verdict.sentence)}</description>\n{styles}{''.join(marks)}</Document>\n</kml>\n"
+        f"<description>{_xml(_lines(it.verdict.sentence))}</description>\n{styles}{''.join(marks)}</Document>\n</kml>\n"
     )
 
 
@@ -321,7 +321,8 @@ def _xml(text: str) -> str:
 
 
 def _lines(*lines: str) -> str:
-    return "\n".join(map(printable, lines))
+    """Return the text of a description, which viewers show as HTML."""
+    return "\n".join(escape(printable(line)) for line in lines)
 
 
 def _placemark(style: str, name: str, about: str, geometry: str, when: str = "") -> str:

@@ -21,7 +21,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from ground.findings.documents import DOCUMENTS, write
 from ground.findings.exchange import cell, figures_csv, geojson, kml, readings_csv
-from ground.findings.figures import Findings, as_json
+from ground.findings.figures import Findings, as_json, findings_of
 from ground.findings.flight import Remark, sha256_of
 from ground.findings.page import page
 from ground.findings.verdict import OUTSIDE, Judgement
@@ -371,6 +371,14 @@ def test_nothing_of_a_record_is_markup_in_kml(found: Findings) -> None:
     document = ElementTree.fromstring(kml(evil(found)))
     assert document.find(f".//{KML}script") is None
     assert document.find(f".//{KML}b") is None
+
+
+def test_nothing_of_a_record_is_markup_in_a_description_which_viewers_show_as_html(found: Findings) -> None:
+    warned = found.flight._replace(estimator_warned=[Remark(0, "estimator", "<img src=x> a & b")])
+    document = ElementTree.fromstring(kml(findings_of(warned)))
+    told = [each.text or "" for each in document.iter(f"{KML}description")]
+    assert sum("&lt;img src=x&gt; a &amp; b" in text for text in told) == 2  # the document's, the source's
+    assert not [text for text in told if "<" in text]
 
 
 def test_nothing_of_a_record_is_a_formula_in_csv(found: Findings) -> None:
