@@ -245,7 +245,7 @@ def _within(lon_deg: float) -> float:
 
 
 def _note_on_rows(path: Path, took: Samples) -> str:
-    zone = "UTC" if took.has_zone else "in no said time zone, taken as UTC"
+    zone = "UTC" if took.has_zone else "(no time zone given, taken as UTC)"
     began = f" from {_clock_text(took)} {zone}" if took.is_dated else ""
     long_s = float(took.times_s[-1] - took.times_s[0])
     return f"{path.name}: {took.rows:,} rows, {took.used:,} used, in {long_s:,.1f} s{began}"

@@ -73,7 +73,7 @@ def test_a_table_gives_the_readings_that_one_works_out_by_hand(tmp_path: Path) -
     assert flight.area_m == 30.0
     assert flight.sensed is not None
     assert "columns: those of gasflux, by the first row" in flight.notes
-    assert "09:00:00 in no said time zone, taken as UTC" in flight.notes[0]
+    assert "09:00:00 (no time zone given, taken as UTC)" in flight.notes[0]
     assert any(note.startswith("background: 2 ppm (0.001357 g/m³) is subtracted") for note in flight.notes)
 
 
@@ -348,8 +348,8 @@ def test_a_quoted_cell_may_have_a_decimal_comma(tmp_path: Path) -> None:
     [
         ("t", "2026-06-01T09:00:00Z", "2026-06-01T11:00:01+02:00", "2026-06-01 09:00:00 UTC"),
         ("t@+02:00", "2026-06-01 11:00:00", "2026-06-01 11:00:01", "2026-06-01 09:00:00 UTC"),
-        ("t", "2026/06/01 09:00:00.0", "2026/06/01 09:00:01", "2026-06-01 09:00:00 in no said time zone"),
-        ("t", "01.06.2026 09:00:00", "01.06.2026 09:00:01", "2026-06-01 09:00:00 in no said time zone"),
+        ("t", "2026/06/01 09:00:00.0", "2026/06/01 09:00:01", "2026-06-01 09:00:00 (no time zone given"),
+        ("t", "01.06.2026 09:00:00", "01.06.2026 09:00:01", "2026-06-01 09:00:00 (no time zone given"),
         ("t", "1780304400000", "1780304401000", "2026-06-01 09:00:00 UTC"),
         ("t", "1780304400", "1780304401", "2026-06-01 09:00:00 UTC"),
         ("t@us", "1780304400000000", "1780304401000000", "2026-06-01 09:00:00 UTC"),
