@@ -97,8 +97,8 @@ class Survey:
                 whose = f" of {OF_VEHICLE}{number}" if (number := vehicle_of(key)) else ""
                 times = [f"{time_ms / 1000:.2f} s" for time_ms in unanswered[:LISTED]]
                 lines.append(
-                    f"{len(unanswered)} readings{whose} without a belief, at {few(times, len(unanswered))} "
-                    "of simulation"
+                    f"{len(unanswered)} reading{'s' * (len(unanswered) > 1)}{whose} without a belief, at "
+                    f"{few(times, len(unanswered))} of simulation"
                 )
         steps = sorted(self.trace)
         # Missing ones are counted, not listed: a foreign message may have any step.

@@ -132,7 +132,7 @@ def test_a_reading_after_the_wrap_of_the_vehicles_time_is_answered_by_the_belief
         (0.3, wrap_s + 2, "reading", reading(1)),
     ]
     fields = json.loads(said(capsys, record(tmp_path / "run.mcap", messages), json=True).splitlines()[-1])
-    assert fields["gaps"] == ["1 readings without a belief, at 4294969.30 s of simulation"]
+    assert fields["gaps"] == ["1 reading without a belief, at 4294969.30 s of simulation"]
 
 
 def test_an_autopilot_that_was_on_for_an_hour_before_does_not_make_the_flight_longer(
@@ -159,7 +159,7 @@ def test_the_summary_counts_keys_repeats_and_what_is_missing(
     assert fields["keys"]["reading"]["repeats"] == 1
     assert fields["beliefs"] == 3
     assert fields["gaps"] == [
-        "1 readings without a belief, at 3.00 s of simulation",
+        "1 reading without a belief, at 3.00 s of simulation",
         "1 beliefs missing, of step 2",
         "1 pauses of the whole bus: 4.1 s at 2.0 s",
         "estimator was restarted 1 time",
