@@ -775,7 +775,7 @@ def test_a_broken_checkpoint_or_bundle_is_named_in_one_line(
             "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the command "
             "of",
         ),
-        (("ppo", "--out", "recipe.json"), "error: --out: [Errno 17] File exists: 'recipe.json'"),
+        (("ppo", "--out", "recipe.json"), "error: --out: 'recipe.json': File exists; wanted a folder"),
         (("ppo", "--preset", "best"), "--preset: 'best' is not allowed; wanted "),
         (("sarsa",), "algorithm: 'sarsa' is not allowed; wanted ppo, dqn or ddpg"),
         (("ppo", "--steps", "0"), "--steps: '0' is not allowed; wanted a whole number from 1"),

@@ -186,7 +186,7 @@ def test_of_several_vehicles_each_ones_repeats_gaps_and_restarts_are_told(
     fields = json.loads(said(capsys, record(tmp_path / "run.mcap", messages), json=True).splitlines()[-1])
     assert [fields["keys"][f"uav/{number}/reading"]["repeats"] for number in (1, 2)] == [0, 1]
     assert fields["gaps"] == [
-        "1 readings of uav/2 without a belief, at 2.00 s of simulation",
+        "1 reading of uav/2 without a belief, at 2.00 s of simulation",
         "uav/1 was restarted 1 time",
     ]
 
