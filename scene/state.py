@@ -191,7 +191,7 @@ def _rate(last: Measurement) -> str:
         return ""
     rates = [KG_H * value for value in last.rate]
     low, middle, high = (f"{rate:.2g}" if rate < 100 else f"{rate:.0f}" for rate in rates)
-    return f"; {middle} kg/h ({low} to {high})"
+    return f"; {middle} kg/h (90%: {low} to {high})"
 
 
 # ---- how long still ----

@@ -137,7 +137,7 @@ def test_each_end_has_its_words(verdict: str, kind: str, level: str, begins: str
 def test_a_find_says_where_how_sure_and_how_much_and_can_be_copied() -> None:
     state = state_of(replace(SCENE, ending=Ending("located", "after 4 steps")))
     # 10 m north is 10 / 111,194.9 degrees; 20 m east is 20 / (111,194.9 cos 51.4494°). 0.1 g/s is 0.36 kg/h.
-    assert state.text == "Found: 51.449490 N, 2.602011 W, ± 2.6 m (95%); 0.36 kg/h (0.18 to 0.72)"
+    assert state.text == "Found: 51.449490 N, 2.602011 W, ± 2.6 m (95%); 0.36 kg/h (90%: 0.18 to 0.72)"
     latitude, longitude = map(float, state.copy.split(", "))
     assert (latitude, longitude) == pytest.approx((51.4494899, -2.6020114), abs=2e-7)
     assert state.moves_left is None
