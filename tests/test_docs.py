@@ -49,7 +49,6 @@ TIMEOUT_S = 600
 """A command that takes longer hangs."""
 RELIED_ON = {
     "README.md: make mission",
-    "README.md: plumeward fly --seed 11 --view",
     "README.md: plumeward rollout --seed 4 --policy infotaxis --world wind-30 --assume paper",
     "docs/services.md: plumeward router --listen tcp/127.0.0.1:7447",
 }

@@ -24,6 +24,7 @@ def test_the_difference_of_two_slopes_adds_their_variances() -> None:
     )  # Student's t for 33.4 degrees of freedom, from a table
 
 
+@pytest.mark.full
 def test_of_random_walks_that_drift_one_in_twenty_is_missed() -> None:
     drift, steps, walks = 0.5, 2000, 400
     missed = 0

@@ -57,6 +57,7 @@ def test_who_is_alone_is_flown_once_for_all_fleets_and_from_an_edge_not_at_all()
     assert not [cell for cell in cells if cell.how == "alone" and "edge" in cell]
 
 
+@pytest.mark.full
 def test_a_fleet_that_is_told_where_the_source_is_needs_fewer_moves_than_one_that_searches() -> None:
     searching, told = [Cell("homing", "corners", 2, how) for how in ("together", "told")]
     rows = [row for seed in range(1, 6) for row in fly(seed, [searching, told])]

@@ -102,6 +102,7 @@ def kept(folder: Path) -> list[Path]:
     return [path for path in folder.rglob("*") if path.suffix in (".nbi", ".nbc")]
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_a_change_of_what_a_kernel_uses_is_seen_and_undone(tmp_path: Path) -> None:
     write(tmp_path)

@@ -71,6 +71,7 @@ events: [{step: 2, do: return, vehicle: 2}]}
 """
 
 
+@pytest.mark.full
 def test_a_secured_search_by_two_that_one_leaves_is_the_same_and_its_record_verifies(
     tmp_path: Path, folder: Path
 ) -> None:

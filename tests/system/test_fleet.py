@@ -290,6 +290,7 @@ events: [{step: 3, do: stuck, readings: 1000, vehicle: 2}, {step: 12, do: leave-
 """
 
 
+@pytest.mark.full
 def test_a_sensor_that_lies_is_named_and_left_out_and_the_record_is_verified(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -309,6 +310,7 @@ def test_a_sensor_that_lies_is_named_and_left_out_and_the_record_is_verified(
     assert f"verified: {outcome['steps'] + 1} beliefs" in "\n".join([*out, *err])
 
 
+@pytest.mark.full
 def test_one_that_dies_on_the_ground_is_left_behind(
     start: type[Part], router: str, watched: "Watched", wait_until: Callable
 ) -> None:
@@ -327,6 +329,7 @@ def test_one_that_dies_on_the_ground_is_left_behind(
     assert len(watched.points[0]) == 1
 
 
+@pytest.mark.full
 def test_an_operators_order_leaves_a_vehicle_out(
     start: type[Part],
     router: str,
@@ -495,6 +498,7 @@ def test_a_vehicle_that_dies_is_left_behind_and_an_estimator_that_starts_again_k
     assert [watched.points[step] for step in sorted(watched.points)] == expected
 
 
+@pytest.mark.full
 def test_one_that_comes_late_joins_and_an_estimator_that_starts_again_knows_it(
     start: type[Part],
     router: str,

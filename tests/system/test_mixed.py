@@ -102,6 +102,7 @@ def verified(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     return json.loads(out[-1])
 
 
+@pytest.mark.full
 def test_a_real_autopilot_and_a_simulated_vehicle_search_together_and_their_record_verifies(
     start: type[Part], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

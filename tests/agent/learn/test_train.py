@@ -408,13 +408,8 @@ def start() -> Iterator[Callable[..., "subprocess.Popen[str]"]]:
         process.communicate()
 
 
-@pytest.mark.parametrize(
-    "number",
-    [
-        signal.SIGKILL,
-        *(pytest.param(other, marks=pytest.mark.full) for other in (signal.SIGTERM, signal.SIGINT)),
-    ],
-)
+@pytest.mark.full
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 def test_a_run_that_is_killed_comes_to_the_same_end(
     tmp_path: Path,
     start: Callable[..., Any],
