@@ -65,7 +65,7 @@ finitely many particles.
 """
 SHOWN = "spread:0.5"
 """The stop of the table of worlds: the default one."""
-DEFAULT, LEARNED = "homing", "ppo"
+DEFAULT, OTHERS = "homing", ("infotaxis", "ppo")
 """The policies of the tables."""
 BEYOND_THE_MODEL = ("cv-1-correlated", "source-beyond", "two-sources", "stuck", "stuck-noisy")
 """Worlds that `field` does not model, or in which no source can be found."""
@@ -244,7 +244,7 @@ def worlds(said: Said, rows: Rows) -> str:
             figure(world, "field", DEFAULT, "ceased", "located", "outside"),
             " / ".join(figure(world, assume, DEFAULT, "mtd_m") for assume in ("paper", "field")),
             figure(world, "field", DEFAULT, "nees_mean") + median(world),
-            false_stop(world, "field", LEARNED),
+            *(false_stop(world, "field", name) for name in names if name != DEFAULT),
             distances.get(world, UNKNOWN),
         ]
         for world in WORLDS
@@ -258,7 +258,7 @@ def worlds(said: Said, rows: Rows) -> str:
         "ceased / located / outside",
         "MTD p / f, m",
         "NEES (median)",
-        f"{LEARNED}: false, %",
+        *(f"{name}: false, %" for name in names if name != DEFAULT),
         f"{' / '.join(names)}, m",
     ]
     return table(heads, lines)
@@ -268,10 +268,8 @@ def compared(rows: Rows) -> tuple[list[str], dict[str, str]]:
     """Return the policies that flew under `field`, and by world the mean distance to a stop of each, over
     the missions that all of them have flown.
     """
-    names = sorted(
-        {name for assume, name, _ in rows if assume == "field"},
-        key=lambda name: (name != DEFAULT, name == LEARNED, name),
-    )
+    flew = {name for assume, name, _ in rows if assume == "field"}
+    names = sorted(flew, key=lambda name: (name != DEFAULT, name))
     distances = {}
     for world in WORLDS:
         flown = [rows[cell][SHOWN] for name in names if (cell := ("field", name, world)) in rows]
@@ -320,7 +318,7 @@ def main() -> int:
     several = (
         ("--assume", cli.listed(cli.checked(_is_assumption)), HOLDS),
         ("--world", cli.listed(cli.checked(_is_world), separate), WORLDS),
-        ("--policy", cli.listed(cli.checked(policy)), (DEFAULT, LEARNED)),
+        ("--policy", cli.listed(cli.checked(policy)), (DEFAULT, *OTHERS)),
     )
     for flag, kind, usual in several:
         parser.add_argument(
