@@ -39,7 +39,7 @@ RUNS = ("python ", "make ", "plumeward ", "pip ", "docker ", "podman ", "source 
 """Code spans in sentences that begin with one of these are commands, too."""
 OURS = r"(plumeward|python -m (sitl|agent))"
 SHORTER = {
-    rf"{OURS} (fly|uav)\b(?!.* --vehicle).*": "--speedup 0",
+    rf"{OURS} (fly|uav)\b(?!.* --vehicle ).*": "--speedup 0",
     rf"{OURS} view\b(?! -).*": "--port 0",
     rf"{OURS} evaluate\b.*": "--scenarios 2",
     rf"{OURS} train\b.*": "--steps 1 --scenarios 0",
