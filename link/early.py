@@ -6,9 +6,9 @@ import faulthandler
 import os
 
 INTERRUPTED = 130  # exit status of a command that was interrupted
-# On this signal a process writes the stacks of its threads to stderr, even if it hangs. A stopped one does so
-# when it continues.
-STACKS = signal.SIGUSR1
+# On this signal a process writes the stack of its main thread to stderr, even if it hangs. To walk those of
+# other threads while they run can end it (SIGSEGV). A stopped process does so when it continues.
+STACK = signal.SIGUSR1
 
 
 def ends() -> list[int]:
@@ -34,14 +34,17 @@ def begin() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-def tell_stacks() -> None:
-    """Let this process write its stacks on `STACKS`, whatever it does then."""
-    faulthandler.register(STACKS, file=2, all_threads=True, chain=False)
+def tell_stack() -> None:
+    """Let this process write its stack on `STACK`, whatever it does then."""
+    faulthandler.register(STACK, file=2, all_threads=False, chain=False)
 
 
-def ask_for_stacks(pid: int) -> None:
-    """Ask a process for its stacks, if it is one that tells them: the signal would end any other."""
-    with contextlib.suppress(OSError, StopIteration), open(f"/proc/{pid}/status") as status:  # Linux's
+def ask_for_stack(pid: int) -> None:
+    """Ask a process for its stack, if it is one that tells it: the signal would end any other."""
+    import ctypes  # Python itself can only signal a process: any thread may take it
+
+    lacking = OSError, StopIteration, AttributeError  # not Linux, or not its usual C library
+    with contextlib.suppress(*lacking), open(f"/proc/{pid}/status") as status:
         caught = int(next(line for line in status if line.startswith("SigCgt:")).split()[1], 16)
-        if caught >> STACKS - 1 & 1:
-            os.kill(pid, STACKS)
+        if caught >> STACK - 1 & 1:
+            ctypes.CDLL(None).tgkill(pid, pid, STACK)

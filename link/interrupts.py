@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NoReturn
 
-from link.early import INTERRUPTED, ends, tell_stacks
+from link.early import INTERRUPTED, ends, tell_stack
 
 STREAMS = (1, 2)  # file descriptors of stdout and stderr
 # The environment variable with the launcher's process id: its parts end with it, however it ends.
@@ -64,7 +64,7 @@ def discard(streams: Iterable[int]) -> None:
 def interrupt() -> None:
     """Let a signal raise KeyboardInterrupt in the main thread, again if Python has lost it.
 
-    Let this process also end with its launcher, and when one of its threads dies, and tell its stacks if
+    Let this process also end with its launcher, and when one of its threads dies, and tell its stack if
     it hangs.
 
     An exception in a handler can be lost: where Python calls it within a destructor or another callback,
@@ -72,7 +72,7 @@ def interrupt() -> None:
     another of it. The signal is then sent again.
     """
     on_end(_interrupt)
-    tell_stacks()
+    tell_stack()
     sys.unraisablehook, sys.excepthook, threading.excepthook = (
         _ignored_exception,
         _uncaught,

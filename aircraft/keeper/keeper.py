@@ -28,7 +28,7 @@ from link.bus.frames import Frame
 from link.bus.log import Log
 from link.bus.mavlink import ONBOARD_COMPUTER, Message, message_of
 from link.bus.tally import Tally
-from link.early import ask_for_stacks
+from link.early import ask_for_stack
 from link.modes import Mode, px4_mode
 
 # Real time without a HEARTBEAT of the uav after which it counts as silent, whatever the speed-up: its loop
@@ -195,7 +195,7 @@ class Keeper:
             what = "stops the motors" if on_ground else "sends the vehicle home"
             self._say(CRITICAL, f"The keeper {what}: {self.acted}")
             if not self._gone:
-                self._hangs()  # after our own line: its stacks are written piece by piece, on the same stderr
+                self._hangs()  # after our own line: its stack is written piece by piece, on the same stderr
         if on_ground:  # which is refused in flight
             self._send(command(self.system, mavlink.MAV_CMD_COMPONENT_ARM_DISARM))
         else:
@@ -218,7 +218,7 @@ class Switch(Hub):
     def __init__(self, url: str, uav: socket.socket, log: Log, system: int) -> None:
         """Open the endpoint; raises ValueError if it cannot be used on this machine."""
         super().__init__(log)
-        self.keeper = Keeper(self._send, self._say, partial(ask_for_stacks, os.getppid()), system)
+        self.keeper = Keeper(self._send, self._say, partial(ask_for_stack, os.getppid()), system)
         self._codec = mavlink.MAVLink(None)
         self._used: Channel | None = None  # the vehicle's link
         self._told, self._tell_s = "", -math.inf  # the last word to the uav, and when it was said

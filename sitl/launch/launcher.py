@@ -145,7 +145,7 @@ def fly(mission: Launch, files: RecordFiles | None, page: MissionPage) -> Flown:
             mission.patience_s,
             time.monotonic(),
             progress.say,
-            processes.tell_stacks,
+            processes.tell_stack,
         )
         disturbances = Disturbances(
             mission.script.events,

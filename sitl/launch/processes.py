@@ -18,7 +18,7 @@ from link.bus import log
 from link.bus.inbox import Inbox
 from link.bus.session import SIGNAL_POLL_S
 from link.cli import BAD_INPUT, FAILED
-from link.early import INTERRUPTED, ask_for_stacks
+from link.early import INTERRUPTED, ask_for_stack
 from link.interrupts import LAUNCHER, uninterrupted
 
 ROOT = Path(__file__).parents[2]  # where our packages are
@@ -27,11 +27,11 @@ ROOT = Path(__file__).parents[2]  # where our packages are
 START_WARN_S, START_LIMIT_S = 15.0, 300.0
 # How long to read on after a part has ended: its own children may hold its stdout and stderr open.
 LEFT_OPEN_S = 0.5
-# How a line of the stacks begins that a part prints when it hangs.
-STACK = re.compile(r'((Current t|T)hread 0x[0-9a-f]+ |File ".*", line \d+ in )')
+# How a line of the stack begins that a part prints when it hangs.
+STACK = re.compile(r'(Stack \(most recent call first\):|File ".*", line \d+ in )')
 LONGEST_LINE = 4_000  # characters of a line that are kept
 STOP_TIMEOUT_S = 1.0  # how long a part may take to end
-STACKS_S = 0.5  # how long a part that is about to be killed may take to write its stacks
+STACK_S = 0.5  # how long a part that is about to be killed may take to write its stack
 
 
 @dataclass(frozen=True)
@@ -287,10 +287,10 @@ class Processes:
         """Let a part outlast the others: its end is the caller's business."""
         del self._children[part]
 
-    def tell_stacks(self, part: str) -> None:
-        """Let a part of ours that hangs print where its threads are; a stopped one does once it continues."""
+    def tell_stack(self, part: str) -> None:
+        """Let a part of ours that hangs print where it is; a stopped one does once it continues."""
         if child := self._children.get(part):
-            ask_for_stacks(child.pid)
+            ask_for_stack(child.pid)
 
     def kill(self, part: str) -> None:
         """Kill a part on purpose: its end is not reported."""
@@ -367,5 +367,5 @@ def _await_last_task(child: Child) -> bool:
         if child.kind.tells_progress:
             deadline = child.heard_s + child.kind.last_task_s
     print(f"warning: the {child.part} hangs and is killed: {child.kind.if_killed}", file=sys.stderr)
-    ask_for_stacks(child.pid)
-    return child.wait(STACKS_S)
+    ask_for_stack(child.pid)
+    return child.wait(STACK_S)

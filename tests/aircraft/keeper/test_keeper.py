@@ -28,7 +28,7 @@ class KeptRadio(Radio):
     def __init__(self, wire: Wire) -> None:
         super().__init__(wire)
         self.stacks = 0
-        """How often the keeper has asked the uav for its stacks."""
+        """How often the keeper has asked the uav for its stack."""
         self.keeper = Keeper(self._of_the_keeper, lambda _, text: self.told.append(text), self._asked)
         self.told: list[str] = []
         self.commands: list[int] = []
