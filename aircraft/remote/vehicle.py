@@ -104,7 +104,8 @@ class RemoteVehicle:
             if arrived := self.course.look():
                 events.append(arrived)
         elif self.mode is Mode.OFFBOARD and self.now_s - self.course.heard_s > self.config.silence_s:
-            self.flight.fail(f"No waypoint for {self.config.silence_s / self._commander.speedup:g} s")
+            silent_s = self.config.silence_s / self._commander.speedup
+            self.flight.fail(f"No waypoint for {round(silent_s, 1):g} s")
         return events
 
     def next_event_s(self) -> float | None:

@@ -280,7 +280,7 @@ class Companion:
             return "no setpoint received yet"
         age_s, gap_s = now_s - self.heard_s, self.heard_s - self._before_s
         if age_s > patience_s:
-            return f"no setpoint in the last {patience_s:g} s"
+            return f"no setpoint in the last {round(patience_s, 1):g} s"
         # Two in the time after which a stream is lost: 2 Hz. A pause of twice that time is the end of an
         # earlier stream.
         slow = age_s > patience_s / 2.0 or patience_s / 2.0 < gap_s <= 2.0 * patience_s

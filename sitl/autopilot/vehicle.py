@@ -618,7 +618,7 @@ class Vehicle:
         return since_s + self._patience_s
 
     def _lose_companion(self) -> None:
-        self._fail_safe(f"No setpoint for {self._patience_s:g} s", Mode.RETURN, "returning home")
+        self._fail_safe(f"No setpoint for {round(self._patience_s, 1):g} s", Mode.RETURN, "returning home")
 
     def _alarm_battery(self) -> None:
         """Warn when the battery is low, as PX4 does by default; land on the spot when it is empty."""

@@ -227,7 +227,7 @@ def test_a_link_that_is_lost_on_the_way_takes_no_time_from_it(kind: str) -> None
 
 @both
 def test_an_agent_that_does_not_answer_for_30_s_brings_it_home(kind: str) -> None:
-    cockpit = Cockpit(kind)
+    cockpit = Cockpit(kind, config=VehicleConfig(silence_s=30.04))
     cockpit.answers = lambda _: None
     assert cockpit.fails() == "No waypoint for 30 s"
     assert cockpit.ap.landed

@@ -286,11 +286,11 @@ def test_a_new_configuration_changes_the_coming_legs_only():
     assert changed.next_event_s() == pytest.approx(20.0 + 1.0 / 3.0 + 10.0)
 
 
-def test_a_shorter_silence_acts_at_once_in_flight():
+def test_a_shorter_silence_acts_at_once_in_flight_and_is_told_to_a_tenth_of_a_second():
     vehicle = offboard()
-    vehicle.configure(vehicle.now_s + 8.0, dataclasses.replace(vehicle.config, silence_s=5.0))
+    vehicle.configure(vehicle.now_s + 8.0, dataclasses.replace(vehicle.config, silence_s=5.1519))
     now_s = vehicle.now_s
-    assert vehicle.advance(now_s + 0.1) == [Said(now_s, CRITICAL, "No setpoint for 5 s: returning home")]
+    assert vehicle.advance(now_s + 0.1) == [Said(now_s, CRITICAL, "No setpoint for 5.2 s: returning home")]
 
 
 def test_return_flies_home_lands_and_disarms():
