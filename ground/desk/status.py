@@ -17,6 +17,7 @@ from rich.live import Live
 from aircraft.together import searchers
 from link import cli
 from link.access.roles import MOST_VEHICLES
+from link.bus.inbox import NAME
 from link.bus.keys import HEALTH, OF_VEHICLE
 from link.bus.messages import Health
 from link.bus.opening import NoRouter
@@ -130,12 +131,19 @@ class Board:
         }
 
 
+def part_named(text: str) -> str:
+    """Argument type: the name of a part."""
+    if not all(map(NAME.fullmatch, text.split("/"))):
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a part, such as agent or uav/1")
+    return text
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
     cli.add_bus_arguments(parser, namespace=None)
     parser.add_argument(
         "--parts",
-        type=cli.listed(str),
+        type=cli.listed(part_named),
         metavar="NAME,NAME",
         help=f"show only these (default: {','.join(PARTS)} and all others there)",
     )

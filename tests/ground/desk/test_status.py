@@ -2,9 +2,11 @@
 alone, without a common clock.
 """
 
+import argparse
+
 import pytest
 
-from ground.desk.status import Board
+from ground.desk.status import Board, add_arguments
 from link.bus.messages import Health
 
 
@@ -136,3 +138,12 @@ def test_where_parts_are_named_all_others_are_left_out(other: str) -> None:
     b.lives(other, True, 1000.5)
     speak(b, other, 1001.0)
     assert list(b.report(1001.0)) == ["estimator"]
+
+
+@pytest.mark.parametrize("text", ["", "agent,", "estimator, agent"])
+def test_a_part_without_a_name_is_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    with pytest.raises(SystemExit, match="2"):
+        parser.parse_args(["--parts", text])
+    assert "is not allowed; wanted a part, such as agent or uav/1" in capsys.readouterr().err
