@@ -19,9 +19,11 @@ from plume.problem import Area
 READY_S = 3.0  # the battery, and whether it would arm, are waited for this long once its place is known
 REFUSED_S = 10.0  # a refusal to arm comes with warnings, which are told for this long
 SYS_STATUS = mavlink.MAVLINK_MSG_ID_SYS_STATUS
-UNANSWERED = "the payload has not answered yet whether it measures the wind"
 STILL_READING = "its parameters are being read"
 WAITING = "Waiting for the autopilot: "
+# What is waited for of the payload: its first answer, and one with a value
+UNANSWERED = Check("wind", Verdict.FORBIDS, "the payload has not answered yet whether it measures the wind")
+NO_VALUE = Check("gas", Verdict.FORBIDS, "the payload's sensor has no value")
 
 
 def farthest_m(area: Area, home: Place = (0.0, 0.0)) -> float:
@@ -60,6 +62,7 @@ class Preflight:
         self._since_s = 0.0
         self._steps = self._read()
         self._wind: Check | None = None
+        self.payload_lacks = UNANSWERED  # while the wind is not known
         self._known_all = self._told = False
 
     @property
@@ -81,7 +84,7 @@ class Preflight:
     @property
     def unready(self) -> str:
         """What is missing before it could be armed, the wind of its readings too; empty if nothing."""
-        return self.missing or ("" if self._wind else UNANSWERED)
+        return self.missing or ("" if self._wind else self.payload_lacks.text)
 
     def look(self) -> None:
         """Go on reading what the list needs."""
@@ -107,7 +110,7 @@ class Preflight:
         if self._wind:
             self._tell()
             return STILL_READING
-        return UNANSWERED
+        return self.payload_lacks.text
 
     def _read(self) -> Steps[None]:
         commander, known = self._flight.commander, self._known
@@ -175,7 +178,7 @@ class Preflight:
         lines = [Check("vehicle", Verdict.OK, found), place, self._battery]
         for about, why in (("arming", known.unready), ("pilot", self._pilot)):
             lines += [Check(about, Verdict.FORBIDS, why)] * bool(why)
-        lines.append(self._wind or Check("wind", Verdict.FORBIDS, UNANSWERED))
+        lines.append(self._wind or self.payload_lacks)
         return lines + checks(
             known.firmware,
             known.parameters,

@@ -7,6 +7,7 @@ from collections.abc import Collection
 from aircraft.aircraft import GasSensor, Measured
 from aircraft.operator import SEARCH
 from aircraft.payload.messages import pack_question, unpack_answer
+from aircraft.remote.preflight import NO_VALUE
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.remote.winds import Winds
 from aircraft.state import Arrived, Ned
@@ -15,6 +16,7 @@ from link.bus.backoff import Backoff
 from link.bus.keys import OF_VEHICLE, PAYLOAD_IN, PAYLOAD_OUT, RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.mavlink import Codec
 from link.bus.session import Bus
+from plume.flight import TRY_AGAIN_S
 
 
 class AskedSensor(GasSensor):
@@ -44,11 +46,12 @@ class AskedSensor(GasSensor):
         self._open: tuple[int, bytes] | None = None  # time_boot_ms of the question, and its frames
         self._repeating = Backoff(RESEND_FIRST_S, RESEND_LAST_S)
         self._arrived: Arrived | None = None
+        self._again_s = 0.0  # when a sensor that had no value before the flight is asked again
 
     def prepare(self, waits_for: str, absent: Collection[str]) -> None:
-        """Ask whether the payload measures the wind: before that is known there is no flight."""
+        """Ask whether the payload has a value and measures the wind: before that there is no flight."""
         vehicle = self._vehicle
-        undecided = self._winds.source is None and self._open is None
+        undecided = self._winds.source is None and self._open is None and vehicle.now_s >= self._again_s
         if undecided and vehicle.preflight.has_read and self._payload not in absent:
             self._codec = Codec(vehicle.system, SEARCH)
             self._ask(round(vehicle.now_s * 1000), 0, vehicle.flight.known.place)
@@ -95,7 +98,9 @@ class AskedSensor(GasSensor):
             return None
         vehicle, winds, known = self._vehicle, self._winds, self._vehicle.flight.known
         arrived, self._arrived, self._open = self._arrived, None, None
-        if winds.source is None:
+        if winds.source is None and math.isnan(sample.gas):
+            vehicle.preflight.payload_lacks, self._again_s = NO_VALUE, vehicle.now_s + TRY_AGAIN_S
+        elif winds.source is None:
             check = winds.before(sample.wind, vehicle.wind, known.parameters, known.firmware.name)
             vehicle.preflight.take_wind(check)
         elif arrived and wanted and known.glitches.lasts(vehicle.now_s):

@@ -36,11 +36,18 @@ class Speechless(Others):
 
 
 class Ignored(Others):
-    """A bus whose estimator refuses each reading of more than 1 g/m³, and whose payload measures this."""
+    """A bus whose estimator refuses each reading of more than 1 g/m³, and whose payload measures this after
+    its first value.
+    """
 
     def __init__(self, gas: float) -> None:
         super().__init__()
-        self.gas = gas
+        self.then = gas
+
+    def publish(self, key: Key, message: Any, attachment: bytes | None = None) -> None:
+        super().publish(key, message, attachment)
+        if key is PAYLOAD_IN:
+            self.gas = self.then
 
     def answer(self, payload: bytes) -> None:
         if unpack_reading(payload).gas <= 1.0:
@@ -99,6 +106,17 @@ def test_a_payload_that_never_answers_is_said_in_its_health_and_at_the_end(kind:
     last, warnings = waited(Cockpit(kind, wait_s=40.0), Speechless())
     assert last.endswith("(--wait): the payload has not answered yet whether it measures the wind")
     assert "the payload has not answered yet" in warnings[-1]
+
+
+@both
+def test_a_payload_without_a_value_is_asked_again_and_nothing_takes_off(kind: str) -> None:
+    bus = Others()
+    bus.gas = math.nan
+    last, warnings = waited(Cockpit(kind, wait_s=40.0), bus)
+    assert last.endswith("(--wait): the payload's sensor has no value")
+    assert warnings[-1] == "Waiting for the autopilot: the payload's sensor has no value"
+    assert bus.questions > 1
+    assert not bus.readings
 
 
 @both
