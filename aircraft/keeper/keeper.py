@@ -294,13 +294,14 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends when the uav has ended and the vehicle is cared for
     url, level, system = sys.argv[1:]
-    with socket.socket(fileno=0) as uav:
+    # A uav that was interrupted meanwhile reads no line; it has flown nothing.
+    with socket.socket(fileno=0) as uav, contextlib.suppress(BrokenPipeError):
         try:
             switch = Switch(url, uav, Log("keeper", "-", Tally(), level), int(system))
         except ValueError as error:
-            print(error, flush=True)
+            os.write(sys.stdout.fileno(), f"{error}\n".encode())
             return
-        print(flush=True)
+        os.write(sys.stdout.fileno(), b"\n")
         switch.run()
 
 

@@ -5,6 +5,8 @@ that goes and comes.
 import math
 import os
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -182,6 +184,23 @@ def test_an_autopilot_of_another_kind_fails_in_one_line() -> None:
         ):
             flown.until(lambda: False)
         flown.connection.close()
+
+
+@pytest.mark.parametrize("url", ["tcp:127.0.0.1:1", "udpin:192.0.2.1:14999"])  # the second cannot be used
+def test_a_keeper_whose_uav_is_interrupted_at_the_start_says_nothing(url: str) -> None:
+    uav, its = socket.socketpair()
+    unread, stdout = os.pipe()
+    os.close(unread)
+    uav.close()
+    with its, open(stdout, "wb") as line:
+        kept = subprocess.run(
+            [sys.executable, "-m", "aircraft.keeper.keeper", url, "info", "1"],
+            stdin=its,
+            stdout=line,
+            stderr=subprocess.PIPE,
+            timeout=60,
+        )
+    assert (kept.returncode, kept.stderr) == (0, b"")
 
 
 @pytest.mark.parametrize(
