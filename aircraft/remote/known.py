@@ -12,7 +12,7 @@ from aircraft.firmware import ARDUCOPTER, FIRMWARES, POSITION_GOOD, Firmware, st
 from aircraft.remote.glitches import Fix, Glitches
 from aircraft.state import ZERO, Ned, as_float32
 from aircraft.together import Berth
-from link.bus.mavlink import Message, Texts
+from link.bus.mavlink import Message, Texts, continued
 from link.modes import Mode
 from plume.geodesy import home_from, to_local
 from plume.problem import AREA, Area
@@ -100,13 +100,13 @@ class Known:
                 self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                 self.heard_s = now_s
             case "LOCAL_POSITION_NED":
-                self._tick(message.time_boot_ms)
+                boot_ms = self._tick(message.time_boot_ms)
                 position, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
                 self.glitches.flies(self.flying)
                 finite = all(map(math.isfinite, (*position, *velocity)))  # a lost EKF sends NaN
-                if finite and self.glitches.moved(Fix(message.time_boot_ms, position, velocity), now_s):
+                if finite and self.glitches.moved(Fix(boot_ms, position, velocity), now_s):
                     self.position, self.velocity, self.position_s = position, velocity, now_s
-                    self.position_ms = message.time_boot_ms
+                    self.position_ms = boot_ms
             case "ATTITUDE":
                 self._tick(message.time_boot_ms)
             case "GPS_GLOBAL_ORIGIN":
@@ -141,7 +141,9 @@ class Known:
             case "STATUSTEXT":
                 self._hear(message, now_s)
 
-    def _tick(self, boot_ms: int) -> None:
+    def _tick(self, time_boot_ms: int) -> int:
+        """Take the autopilot's clock; returns it as a time that goes on where time_boot_ms wraps, ms."""
+        boot_ms = continued(self.boot_ms, time_boot_ms)
         if boot_ms < self.boot_ms - NEW_BOOT_MS:  # it has started again, and knows nothing of what it knew
             self.boot_ms = 0
             self.boots += 1
@@ -149,6 +151,7 @@ class Known:
             self.flags = 0
             self.glitches.starts_again()
         self.boot_ms = max(self.boot_ms, boot_ms)
+        return boot_ms
 
     def _value(self, message: Message) -> float:
         """The value of a PARAM_VALUE: PX4 sends the bytes of an integer where ArduPilot sends its value."""

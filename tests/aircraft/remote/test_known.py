@@ -102,6 +102,13 @@ def test_an_autopilot_that_starts_again_has_forgotten_its_origin() -> None:
     assert again.origin is None
 
 
+def test_an_autopilot_whose_clock_wraps_has_not_started_again() -> None:
+    wrapped = known(beat(), position(2**32 - 40), ORIGIN, position(60, north=2.0))
+    assert (wrapped.boots, wrapped.origin is None) == (0, False)
+    assert wrapped.position == (2.0, 2.0, -3.0)
+    assert wrapped.position_ms == 2**32 + 60
+
+
 @pytest.mark.parametrize("text", ["Circle fence breached", "Geofence violation"])
 def test_a_breach_of_the_fence_is_heard(text: str) -> None:
     assert known(mavlink.MAVLink_statustext_message(4, text.encode())).breach_s == 10.0
