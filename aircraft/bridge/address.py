@@ -4,6 +4,8 @@ import contextlib
 import re
 import socket
 import termios
+from collections import Counter
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from link.access.reach import is_open
@@ -94,3 +96,8 @@ def parse_out(url: str, instance: int = 0) -> Address:
         f"{url!r} is not a MAVLink UDP URL; wanted udpout:HOST:PORT or udpin:HOST:PORT, with a port from "
         "1 to 65535"
     )
+
+
+def repeated(addresses: Iterable[Address]) -> str:
+    """Return the URL that is given twice; empty if none is."""
+    return next((address.text for address, times in Counter(addresses).items() if times > 1), "")

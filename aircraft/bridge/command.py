@@ -1,10 +1,9 @@
 """`plumeward bridge`: joins the bus of a vehicle with MAVLink endpoints."""
 
 import argparse
-from collections import Counter
 from contextlib import ExitStack, closing
 
-from aircraft.bridge.address import ALLOWED, parse_address
+from aircraft.bridge.address import ALLOWED, parse_address, repeated
 from aircraft.bridge.bridge import Bridge
 from link import cli
 from link.bus.session import Bus
@@ -39,8 +38,8 @@ def run(args: argparse.Namespace) -> int:
     Raises BadInput.
     """
     addresses = [parse_address(url) for url in args.urls]
-    if twice := [address.text for address, count in Counter(addresses).items() if count > 1]:
-        raise cli.BadInput(f"URL: {twice[0]} is given twice; wanted different endpoints")
+    if twice := repeated(addresses):
+        raise cli.BadInput(f"URL: {twice} is given twice; wanted different endpoints")
     if args.sign and all(address.kind == "serial" for address in addresses):
         raise cli.BadInput("--sign: serial lines are not signed; wanted it with a UDP or TCP endpoint")
     with ExitStack() as stack:

@@ -5,7 +5,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from aircraft.bridge.address import parse_out
+from aircraft.bridge.address import parse_out, repeated
 from aircraft.search.clock import Clock
 from aircraft.search.events import OnBoard
 from aircraft.search.search import AfterStop
@@ -55,6 +55,8 @@ def given_by(flag: str) -> Iterator[None]:
 def fly(args: argparse.Namespace, orders: Orders, make: Make) -> int:
     """Fly until interrupted; returns the exit status. Raises BadInput."""
     outs = [parse_out(url, args.instance) for url in args.out]
+    if twice := repeated(outs):
+        raise cli.BadInput(f"--out: {twice} is given twice; wanted different endpoints")
     namespace, inbox = args.namespace or f"uav/{args.instance + 1}", Inbox()
     sysid, bus = args.sysid or args.instance + 1, None
     log = Log("uav", namespace, Tally(), args.log_level)

@@ -280,6 +280,13 @@ class TestUdpIn:
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith(f"error: --out: udpin:127.0.0.1:{port}: Address already in use")
 
+    def test_a_url_that_is_given_twice_is_refused_as_such(self, port, monkeypatch, capsys):
+        url = f"udpin:127.0.0.1:{port}"
+        monkeypatch.setattr("sys.argv", ["sitl", "uav", "--out", url, "--out", url])
+        assert main() == BAD_INPUT
+        told = f"error: --out: {url} is given twice; wanted different endpoints\n"
+        assert capsys.readouterr().err == told
+
     def test_close_frees_the_port(self, port, station):
         link = opened(f"udpin:127.0.0.1:{port}")
         self.greet(station(), link)
