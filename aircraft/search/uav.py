@@ -370,7 +370,7 @@ class Uav:
 
     def _perform(self, event: OnBoard) -> None:
         fields = msgspec.structs.asdict(event).items()
-        words = " ".join(f"{name} {value}" for name, value in fields if value is not None)
+        words = " ".join(f"{name} {value:.6g}" for name, value in fields if value is not None)
         self._say(mavlink.MAV_SEVERITY_INFO, f"Script: {event.__struct_config__.tag} {words}")
         match event:
             case Wind(u=u, phi=phi):

@@ -3,6 +3,7 @@ script's operator.
 """
 
 import os
+import re
 import signal
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -172,7 +173,7 @@ def test_a_reading_that_is_taken_again_is_taken_where_the_vehicle_is_then() -> N
         assert (place.y, place.x) == pytest.approx(told[place.time_boot_ms], abs=0.02)
 
 
-def test_the_scripts_operator_holds_resumes_and_lands() -> None:
+def test_the_scripts_operator_holds_resumes_and_lands(caplog: pytest.LogCaptureFixture) -> None:
     cockpit = Cockpit("ardupilot")
     modes: list[str] = []
 
@@ -185,6 +186,8 @@ def test_the_scripts_operator_holds_resumes_and_lands() -> None:
     bus = fly(cockpit, landed, *events)
     assert modes == ["STABILIZE", "GUIDED", "BRAKE", "GUIDED", "LAND"]
     assert len(bus.readings) == 4
+    (resumes,) = [said for said in caplog.messages if "Script: resume" in said]
+    assert re.fullmatch(r"Script: resume time_s [0-9.]{1,7}", resumes), "six digits at most"
 
 
 def test_the_scripts_operator_sends_it_home() -> None:
