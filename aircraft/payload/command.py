@@ -63,8 +63,8 @@ def run(args: argparse.Namespace, world: World) -> int:
                 raise cli.BadInput(f"--payload: {error}") from None
             except Exception as error:  # a plug-in may be anybody's code
                 raise cli.BadInput(f"--payload: {args.payload}: {said(error)}") from None
-            stack.callback(driver.close)
-            measure = Driven(driver, bus.log)
+            measure = driven = Driven(driver, bus.log)
+            stack.callback(driven.close)
         service.run(bus, service.Measuring(measure, inbox))
     return 0
 

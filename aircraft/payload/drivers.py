@@ -71,7 +71,7 @@ def make(text: str, log: Log) -> Driver:
     return driver
 
 
-def said(error: Exception) -> str:
+def said(error: BaseException) -> str:
     """Return an exception in one short line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text[:200]}".removesuffix(": ")
@@ -90,10 +90,17 @@ class Driven:
         """Measure once; a driver does not know the wind."""
         return Sample(question.time_boot_ms, self._value(), None)
 
+    def close(self) -> None:
+        """End the driver."""
+        try:
+            self._driver.close()
+        except Exception as error:  # it may be anybody's code
+            self._without_value(said(error))
+
     def _value(self) -> float:
         try:
             value = float(self._driver.read(TIMEOUT_S))
-        except Exception as error:  # it may be anybody's code
+        except (Exception, SystemExit) as error:  # it may be anybody's code
             return self._without_value(said(error))
         return (
             self._without_value(f"{value} is no value; wanted a finite number, or NaN for none")

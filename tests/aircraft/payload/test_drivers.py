@@ -139,12 +139,13 @@ class Says:
 
     def open(self) -> None: ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        raise OSError("does not close")
 
     def read(self, timeout_s: float) -> float:
         self.waited_s.append(timeout_s)
         value = self.said.pop(0)
-        if isinstance(value, Exception):
+        if isinstance(value, BaseException):
             raise value
         return value  # type: ignore[return-value]
 
@@ -162,13 +163,19 @@ def test_no_value_is_no_error(log: Log) -> None:
 
 
 @pytest.mark.parametrize(
-    "said", [OSError("unplugged"), ValueError("?"), None, "much", math.inf, -math.inf, 1e39, [1.0]]
+    "said",
+    [OSError("unplugged"), ValueError("?"), SystemExit(3), None, "much", math.inf, -math.inf, 1e39, [1.0]],
 )
 def test_whatever_else_a_driver_does_costs_the_value_and_is_counted(said: object, log: Log) -> None:
     driven = Driven(Says(said, 0.5), log)
     assert math.isnan(driven(ASKED).gas)
     assert log.tally.refused == {SENSOR_ERROR: 1}
     assert driven(ASKED).gas == 0.5
+
+
+def test_an_error_while_it_closes_is_counted_and_ends_nothing_else(log: Log) -> None:
+    Driven(Says(), log).close()
+    assert log.tally.refused == {SENSOR_ERROR: 1}
 
 
 def test_the_same_error_is_told_once_and_counted_each_time(capsys: pytest.CaptureFixture[str]) -> None:
