@@ -73,7 +73,7 @@ quick: lint
 
 # More processes than a small machine's two cores: missions spend about half of their time waiting. tests/workers.py says which runs what.
 test: $(READY) chromium
-	$(BIN)/pytest -n 5 -m 'not full' $(FLAGS)
+	$(BIN)/pytest -n 6 -m 'not full' $(FLAGS)
 
 test-all: setup
 	$(BIN)/pytest -n 6 -m full $(FLAGS)

@@ -112,10 +112,12 @@ def test_make_site_builds_strictly() -> None:
     assert "mkdocs build --strict" in said
 
 
+@pytest.mark.full
 def test_every_page_is_built(site: Path) -> None:
     assert {str(page.relative_to(site).with_suffix("")) for page in site.rglob("*.html")} == PAGES | {"404"}
 
 
+@pytest.mark.full
 def test_no_page_fetches_anything_from_elsewhere(site: Path) -> None:
     for page in site.rglob("*.html"):
         fetched = Loads(page.read_text()).fetched
@@ -127,6 +129,7 @@ def test_no_page_fetches_anything_from_elsewhere(site: Path) -> None:
         assert not re.search(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//", style.read_text()), style
 
 
+@pytest.mark.full
 def test_nothing_on_a_page_makes_the_theme_load_a_library_or_a_repository(site: Path) -> None:
     """Its script fetches a diagram's library, or the facts of a repository, only for pages that hold
     these.
@@ -137,6 +140,7 @@ def test_nothing_on_a_page_makes_the_theme_load_a_library_or_a_repository(site: 
         ), page
 
 
+@pytest.mark.full
 def test_each_page_has_a_title_of_its_own_that_says_the_site_once(site: Path) -> None:
     titles = [
         re.findall(r"<title>(.*?)</title>", page.read_text())[0]
@@ -161,6 +165,7 @@ def test_no_host_is_invented() -> None:
     assert not {"site_url", "repo_url", "edit_uri"} & set(config())
 
 
+@pytest.mark.full
 def test_all_that_a_page_shows_or_links_to_is_in_the_site(site: Path) -> None:
     for page in site.rglob("*.html"):
         if page.name == "404.html":  # a server's page: its links begin at the root
@@ -169,18 +174,21 @@ def test_all_that_a_page_shows_or_links_to_is_in_the_site(site: Path) -> None:
             assert (page.parent / url).exists(), f"{page.relative_to(site)}: {url}"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("page", MODULES)
 def test_the_reference_describes_what_its_page_is_about(site: Path, page: str) -> None:
     anchors = Loads((site / page).with_suffix(".html").read_text()).anchors
     assert set(MODULES[page]) <= anchors
 
 
+@pytest.mark.full
 def test_a_fields_description_is_in_the_reference(site: Path) -> None:
     text = Loads((site / "api/messages.html").read_text()).text
     assert "square root of the covariance's trace, m" in text
     assert "Annotated[" not in text
 
 
+@pytest.mark.full
 def test_the_search_finds_every_page(site: Path) -> None:
     found = {
         entry["location"].partition("#")[0]

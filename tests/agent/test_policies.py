@@ -529,6 +529,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_a_policy_of_another_package_flies_the_same_over_the_bus(tmp_path: Path, packages: Path) -> None:
     chosen = ("--policy", "drawn", "--seed", "5", "--budget", "10", "--particles", "100")
@@ -539,6 +540,7 @@ def test_a_policy_of_another_package_flies_the_same_over_the_bus(tmp_path: Path,
         assert 0 < math.dist(before["position"], after["position"]) < 1 + 1e-5
 
 
+@pytest.mark.full
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("schema", "move"),

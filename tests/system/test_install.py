@@ -319,9 +319,8 @@ def test_the_wheel_flies_a_shipped_policy_in_a_fresh_environment(
         )
 
 
-@pytest.mark.parametrize(
-    "version", [VERSIONS[0], *(pytest.param(version, marks=pytest.mark.full) for version in VERSIONS[1:])]
-)
+@pytest.mark.full
+@pytest.mark.parametrize("version", VERSIONS)
 def test_the_pinned_files_are_all_that_the_wheel_needs(
     install: Callable[[str], Installed], tmp_path: Path, version: str
 ) -> None:
@@ -329,6 +328,7 @@ def test_the_pinned_files_are_all_that_the_wheel_needs(
     assert (checked.returncode, checked.stdout) == (0, "No broken requirements found.\n")
 
 
+@pytest.mark.full
 def test_without_zenoh_it_flies_the_same_mission(own: Installed, in_process: dict, tmp_path: Path) -> None:
     rolled = own(
         tmp_path, "python", "-m", "agent", "rollout", "--policy", "ppo", "--seed", "7", "--json", "--trace"
@@ -336,6 +336,7 @@ def test_without_zenoh_it_flies_the_same_mission(own: Installed, in_process: dic
     assert outcome(rolled) == in_process
 
 
+@pytest.mark.full
 def test_a_shipped_mission_is_flown_by_its_name(own: Installed, tmp_path: Path) -> None:
     ran = own(tmp_path, "plumeward", "fly", "default-release", "--speedup", "0", "--json")
     flown = outcome(ran)
@@ -372,6 +373,7 @@ def test_files_of_the_folder_that_it_is_run_in_are_not_taken_for_parts_of_it(
     )
 
 
+@pytest.mark.full
 def test_the_api_and_its_lists_work_where_nothing_but_a_flight_is_installed(
     own: Installed, tmp_path: Path
 ) -> None:
@@ -385,6 +387,7 @@ def test_the_api_and_its_lists_work_where_nothing_but_a_flight_is_installed(
     assert "  wind-shift " in listed.stdout
 
 
+@pytest.mark.full
 def test_a_mission_that_is_none_is_one_line_with_those_that_ship(own: Installed, tmp_path: Path) -> None:
     ran = own(tmp_path, "plumeward", "fly", "wnd-shift")
     missions = ", ".join(sorted(path.stem for path in (ROOT / "missions").glob("*.yaml")))
@@ -418,6 +421,7 @@ def test_the_command_and_the_module_take_the_same_command_lines(own: Installed, 
     assert command.stderr.replace("plumeward", "python -m sitl") == module.stderr
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("words", "status", "told"),
     [

@@ -73,10 +73,8 @@ def test_a_mission_over_the_bus_equals_the_one_in_process(
     assert bus == rollout
 
 
-@pytest.mark.parametrize(
-    "policy",
-    [policy if policy == "thompson" else full(policy) for policy in OURS if policy != "infotaxis"],
-)
+@pytest.mark.full
+@pytest.mark.parametrize("policy", [policy for policy in OURS if policy != "infotaxis"])
 def test_every_policy_flies_the_same_over_the_bus(tmp_path: Path, in_process: Callable, policy: str) -> None:
     chosen = ["--seed", "7", "--policy", policy, "--particles", "300", "--budget", "40", "--assume", "paper"]
     assert over_the_bus(tmp_path, *chosen, "--speedup", "0")["trace"] == in_process(*chosen)["trace"]

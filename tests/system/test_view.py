@@ -163,6 +163,7 @@ def test_a_page_that_dies_is_a_warning(
     assert not fly.says("stays open")
 
 
+@pytest.mark.full
 def test_an_operator_holds_resumes_and_sees_what_is_refused(
     start: type[Part], router: str, view: Callable[..., tuple[Part, int]], wait_until: Callable[..., None]
 ) -> None:

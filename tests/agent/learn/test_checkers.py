@@ -33,6 +33,7 @@ def test_gymnasiums_checker_finds_nothing(name: str, problem: Problem) -> None:
         check_env(make(name, problem), skip_render_check=True)
 
 
+@pytest.mark.full
 @pytest.mark.slow
 @pytest.mark.parametrize("problem", PROBLEMS.values(), ids=list(PROBLEMS))
 @pytest.mark.parametrize("name", IDS)

@@ -11,7 +11,7 @@ import pytest
 
 from agent.learn.env import SourceSearch, SourceSearchVector
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.full]
 
 QUICK: dict[str, Any] = {"particles": 50, "threshold_m": 7.0, "budget": 18}
 """Missions of which some stop and some spend their budget."""

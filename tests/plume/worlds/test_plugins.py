@@ -89,6 +89,7 @@ def test_rollout_environment_and_evaluate_follow_a_plug_in(pulses: Path) -> None
     assert "pulsed" in worlds()
 
 
+@pytest.mark.full
 def test_a_mission_over_the_bus_follows_a_plug_in_to_the_bit(pulses: Path) -> None:
     chosen = ["--seed", "3", "--particles", "200", "--budget", "12", "--world", f"{PULSED}+wind-10", "--json"]
     environment = {**os.environ, "PYTHONPATH": str(pulses)}
