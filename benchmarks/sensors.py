@@ -65,7 +65,7 @@ def line(world: str, sensor: str, searches: Sequence[Search]) -> list[str]:
         f"{parse(sensor).dwell:g}",
         f"{100 * len(ceased) / count:.1f}",
         wilson(located, count).text(100.0, 1),
-        wilson(len(ceased) - located, count).text(100.0, 1),
+        wilson(len(ceased) - located, len(ceased)).text(100.0, 1) if ceased else "–",
         f"{np.mean([it.distance_m for it in ceased]):.1f}" if ceased else "–",
         f"{np.mean([it.time_s for it in ceased]):.0f}" if ceased else "–",
     ]
