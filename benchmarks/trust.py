@@ -266,17 +266,19 @@ def worlds(said: Said, rows: Rows) -> str:
 
 def compared(rows: Rows) -> tuple[list[str], dict[str, str]]:
     """Return the policies that flew under `field`, and by world the mean distance to a stop of each, over
-    the missions that all of them have flown.
+    the missions that all of them have flown that flew there.
     """
     flew = {name for assume, name, _ in rows if assume == "field"}
     names = sorted(flew, key=lambda name: (name != DEFAULT, name))
     distances = {}
     for world in WORLDS:
-        flown = [rows[cell][SHOWN] for name in names if (cell := ("field", name, world)) in rows]
-        if flown and len(flown) == len(names):
-            seeds = set.intersection(*({row.seed for row in of} for of in flown))
-            common = ([row for row in of if row.seed in seeds] for of in flown)
-            distances[world] = " / ".join(map(_travelled, common))
+        flown = {name: rows[cell][SHOWN] for name in names if (cell := ("field", name, world)) in rows}
+        if len(flown) > 1:
+            seeds = set.intersection(*({row.seed for row in of} for of in flown.values()))
+            common = {
+                name: _travelled([row for row in of if row.seed in seeds]) for name, of in flown.items()
+            }
+            distances[world] = " / ".join(common.get(name, UNKNOWN) for name in names)
     return names, distances
 
 

@@ -156,7 +156,11 @@ def test_policies_are_compared_over_the_missions_that_all_have_flown() -> None:
     rows["field", "ppo", "cv-1"] = {
         "spread:0.5": [row(seed, distance_m=20.0 * seed) for seed in (1, 2, 3, 5)]
     }
-    assert compared(rows) == (["homing", "dcee", "ppo"], {"cv-1": "40.0 (67%) / 40.0 (67%) / 40.0"})
+    rows |= rows_of("cv-2") | rows_of("cv-2", policy="ppo")
+    assert compared(rows) == (
+        ["homing", "dcee", "ppo"],
+        {"cv-1": "40.0 (67%) / 40.0 (67%) / 40.0", "cv-2": "40.0 (50%) / – / 40.0 (50%)"},
+    )
 
 
 def test_the_page_keeps_its_prose_and_gets_its_tables_anew() -> None:
