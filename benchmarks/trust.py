@@ -266,7 +266,7 @@ def worlds(said: Said, rows: Rows) -> str:
 
 def compared(rows: Rows) -> tuple[list[str], dict[str, str]]:
     """Return the policies that flew under `field`, and by world the mean distance to a stop of each, over
-    the missions that all of them have flown that flew there.
+    the missions that all who flew there have flown.
     """
     flew = {name for assume, name, _ in rows if assume == "field"}
     names = sorted(flew, key=lambda name: (name != DEFAULT, name))
