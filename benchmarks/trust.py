@@ -371,14 +371,13 @@ def main() -> int:
                 "others",
                 file=sys.stderr,
             )
-        write(args.results, args.page)
+        write(read(args.results) if cells else there, args.results, args.page)
     print(args.page)
     return 0
 
 
-def write(results: Path, document: Path) -> None:
-    """Write the long table and the page from all rows of a folder."""
-    rows = read(results)
+def write(rows: Rows, results: Path, document: Path) -> None:
+    """Write the long table to a folder, and the page."""
     said = {(*flown, stop): figures(of) for flown, stops in rows.items() for stop, of in stops.items()}
     results.mkdir(parents=True, exist_ok=True)
     write_figures(said, results / FIGURES)

@@ -38,7 +38,6 @@ KEPT_IN = Path("runs")
 EXACT = ("threshold_m", "step_m", "margin_m", "separation_m")  # columns that --resume compares with settings
 LONGEST_LINE, MOST_ROWS = 10_000, 1_000_000
 MOST_SCENARIOS, MOST_WORKERS = 10_000_000, 4096
-CUT_OFF = "\0"  # stands for a value that a line of a table lacks
 # Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All are
 # in the JSON.
 SHOWN = {
@@ -281,10 +280,11 @@ def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
 def read_csv(path: Path) -> list[MissionRow]:
     """Read a file that this or an older version of `write_csv` wrote. Raises ValueError on anything else."""
     with _open(path, "rt", compressed=path.suffix == ".gz") as file:
-        reader = csv.DictReader(_lines(file), restval=CUT_OFF)
+        reader = csv.reader(_lines(file))
         try:
-            rows = [_row(said) for said in reader]
-            if "policy" not in (reader.fieldnames or ()):
+            columns = next(reader, [])
+            rows = [_row(columns, values) for values in reader if values]
+            if "policy" not in columns:
                 raise ValueError("this is no table of missions: its first line has no column policy")
             return rows
         except (ValueError, csv.Error, OSError, EOFError, zlib.error) as error:
@@ -304,10 +304,11 @@ def _lines(file: IO[str]) -> Iterator[str]:
         yield line
 
 
-def _row(said: dict[str | None, str]) -> MissionRow:
-    if None in said or CUT_OFF in said.values():
+def _row(columns: Sequence[str], values: Sequence[str]) -> MissionRow:
+    if len(values) != len(columns):
         raise ValueError("the number of values differs from the number of columns")
-    row = msgspec.convert({name: value or None for name, value in said.items()}, MissionRow, strict=False)
+    said = {name: value or None for name, value in zip(columns, values, strict=True)}
+    row = msgspec.convert(said, MissionRow, strict=False)
     # Files of older versions have a planner's numbers for learned policies too.
     return msgspec.structs.replace(row, headings=None, measurements=None) if bundle_path(row.policy) else row
 

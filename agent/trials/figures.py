@@ -1,14 +1,15 @@
 """The figures of a set of missions, each with its 95% interval (Wilson's for shares, bootstrap for means)."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from estimator.criterion import Criterion
-from plume.elementary import Array
+from plume.elementary import Array, Indices
 from plume.scenario import AS_MODELLED
 from plume.sensors.names import GAUSSIAN, text
 
@@ -152,14 +153,24 @@ def bootstrap(
     """
     if len(values) == 0:
         return Interval(math.nan, math.nan, math.nan)
-    rng = np.random.default_rng(0)
-    at_once = max(LARGEST // len(values), 1)
-    sizes = [min(at_once, RESAMPLES - done) for done in range(0, RESAMPLES, at_once)]
-    again = np.concatenate(
-        [statistic(values[rng.integers(len(values), size=(size, len(values)))]) for size in sizes]
-    )
+    few = len(values) * RESAMPLES <= LARGEST
+    again = np.concatenate([statistic(values[one]) for one in (_kept if few else _drawn)(len(values))])
     low, high = np.quantile(again, [0.025, 0.975])
     return Interval(float(statistic(values[None])[0]), float(low), float(high))
+
+
+def _drawn(count: int) -> Iterator[Indices]:
+    """Yield which of so many values are in each resample, some resamples (R, count) at once."""
+    rng = np.random.default_rng(0)
+    at_once = max(LARGEST // count, 1)
+    for done in range(0, RESAMPLES, at_once):
+        yield rng.integers(count, size=(min(at_once, RESAMPLES - done), count))
+
+
+@lru_cache(maxsize=4)
+def _kept(count: int) -> tuple[Indices, ...]:
+    """All of `_drawn`: the figures of the same missions share it."""
+    return tuple(_drawn(count))
 
 
 def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import statistics
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -39,11 +40,16 @@ class Leaderboard:
         It is the geometric mean over all problems and worlds; infinite where it was not flown in all of
         them, or found nothing in one.
         """
-        ratios = [
-            metres_a_find(missions.get(policy, ())) / min(map(metres_a_find, missions.values()))
-            for missions in self.boards.values()
-        ]
+        ratios = [found.get(policy, math.inf) / min(found.values()) for found in self.found.values()]
         return statistics.geometric_mean(ratios)
+
+    @cached_property
+    def found(self) -> Mapping[str, Mapping[str, float]]:
+        """`metres_a_find` of each policy, by problem and world."""
+        return {
+            board: {policy: metres_a_find(rows) for policy, rows in missions.items()}
+            for board, missions in self.boards.items()
+        }
 
     def tables(self) -> list[Table]:
         """Return who is best over all, and all figures."""
@@ -52,7 +58,7 @@ class Leaderboard:
     def _standings(self) -> Table:
         rows = []
         for policy in self.policies:
-            found = [metres_a_find(missions.get(policy, ())) for missions in self.boards.values()]
+            found = [found.get(policy, math.inf) for found in self.found.values()]
             rows.append([policy, *map(_number, (self.overall(policy), *found))])
         return Table(
             "Leaderboard",

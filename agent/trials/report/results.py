@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +17,8 @@ from plume.scenario import AS_MODELLED
 AS_GOOD = 0.01  # policies whose ceased shares differ by at most this much are compared by their MTD
 
 # Columns that must be equal in all missions of one figure.
-WAY = ("budget", "headings", "step_m", "measurements", "sensor", "prior", "stop_on", "margin_m")
+ALIKE = ("budget", "headings", "step_m", "measurements", "sensor", "prior", "stop_on", "margin_m")
+WAY = attrgetter(*ALIKE)
 
 
 class Setting(NamedTuple):
@@ -138,9 +140,9 @@ def read(folder: Path) -> Results:
                     "for each"
                 )
             same = missions.setdefault((row.policy, Setting(row.particles, row.threshold_m)), {})
-            if _way(same.setdefault(row.seed, row)) != _way(next(iter(same.values()))):
+            if WAY(same.setdefault(row.seed, row)) != WAY(next(iter(same.values()))):
                 raise ValueError(
-                    f"{path}: {row.policy} was flown with other settings there ({', '.join(WAY)})"
+                    f"{path}: {row.policy} was flown with other settings there ({', '.join(ALIKE)})"
                 )
     if not missions:
         raise ValueError(
@@ -150,7 +152,3 @@ def read(folder: Path) -> Results:
     order = sorted(missions, key=lambda key: (rank.get(key[0], len(rank)), key))
     rows = {key: [missions[key][seed] for seed in sorted(missions[key])] for key in order}
     return Results(rows, {key: figures(of) for key, of in rows.items()}, *assumed)
-
-
-def _way(row: MissionRow) -> tuple[object, ...]:
-    return tuple(getattr(row, column) for column in WAY)
