@@ -46,3 +46,8 @@ def copy_kernels(root: Path, copy: Path, folders: tuple[str, ...] = FOLDERS) -> 
         sources = copy / kept.parents[2].relative_to(root)
         place = UserProvidedCacheLocator.get_suitable_cache_subpath(str(sources / "any.py"))
         shutil.copytree(kept, sources / "__pycache__" / kept.parent.name / place)
+
+
+if __name__ == "__main__":
+    compile_kernels(Path(__file__).parents[1])
+    print("compiled")

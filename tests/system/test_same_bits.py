@@ -72,7 +72,7 @@ def environment(blas: str, numpy: str, numba: str) -> dict[str, str]:
 def said(env: dict[str, str], *words: str) -> list[str]:
     """The lines that a command prints in an environment."""
     ended = subprocess.run(
-        [sys.executable, "-m", *words], env=env, capture_output=True, text=True, timeout=600
+        [sys.executable, "-m", *words], env=env, capture_output=True, text=True, timeout=1800
     )
     assert ended.returncode == 0, ended.stderr
     return ended.stdout.splitlines()
@@ -91,36 +91,39 @@ def mission(env: dict[str, str], command: str, policy: str) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="session")
-def here(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], list[str]]:
-    """Return a function that gives the digests of all checks in the environment of the test: it computes
-    them, unless another process of this run has.
+def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[], list[str]]], list[str]]:
+    """Return a function that gives the lines of a name, which the first process of this run to ask makes.
+
+    The others wait meanwhile.
     """
     folder = tmp_path_factory.getbasetemp()
-    kept = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "bits.txt"
+    shared = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
 
-    def digests() -> list[str]:
-        with kept.open("a+") as file:
+    def lines_of(name: str, make: Callable[[], list[str]]) -> list[str]:
+        with (shared / f"{name}.txt").open("a+") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             file.seek(0)
             lines = file.read().splitlines()
             if not lines:
-                lines = said(dict(os.environ), "tests.system.bits")
+                lines = make()
                 file.write("\n".join(lines))
         return lines
 
-    return digests
+    return lines_of
 
 
 @pytest.mark.full
 @pytest.mark.parametrize(("blas", "numpy", "numba"), ROWS)
-@pytest.mark.timeout(900)  # the kernels are compiled once for each processor
+@pytest.mark.timeout(3600)  # kernels are compiled once for each processor, the others wait
 def test_every_bit_is_the_same_on_another_processor(
-    here: Callable[[], list[str]], blas: str, numpy: str, numba: str
+    once: Callable[[str, Callable[[], list[str]]], list[str]], blas: str, numpy: str, numba: str
 ) -> None:
-    there = said(environment(blas, numpy, numba), "tests.system.bits")
+    env = environment(blas, numpy, numba)
+    once(f"kernels-{numba}", lambda: said(env, "tests.kernels"))  # several at once would each compile all
+    there = said(env, "tests.system.bits")
     assert len(there) > 100
     assert [line for line in there if "DIFFERS" in line] == []
-    assert there == here()
+    assert there == once("bits", lambda: said(dict(os.environ), "tests.system.bits"))
 
 
 def test_services_answer_with_the_same_bits_on_another_processor() -> None:
@@ -132,7 +135,7 @@ def test_services_answer_with_the_same_bits_on_another_processor() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize(("row", "policy"), list(zip(ROWS[::2], FAMILIES, strict=True)), ids=str)
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(3600)
 def test_a_mission_of_processes_on_one_processor_is_the_in_process_mission_of_another(
     row: tuple[str, str, str], policy: str
 ) -> None:
