@@ -132,6 +132,10 @@ def read(folder: Path) -> Results:
                     f"{path}: {row.policy} was flown with --stop {row.stop}; a report compares missions of "
                     "--stop spread:Z"
                 )
+            if row.vehicles != 1:
+                raise ValueError(
+                    f"{path}: missions of {row.vehicles} vehicles; a report takes those of one alone"
+                )
             assumed.setdefault(row.assume, path)
             if len(assumed) > 1:
                 one, other = (f"{name} in {file.name}" for name, file in assumed.items())

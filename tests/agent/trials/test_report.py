@@ -114,6 +114,13 @@ def test_missions_of_another_world_are_refused(tmp_path: Path) -> None:
         read(tmp_path)
 
 
+def test_missions_of_several_vehicles_are_refused(tmp_path: Path) -> None:
+    write_csv([msgspec.structs.replace(flown(1_000_004), vehicles=2)], tmp_path / "two.csv")
+    wanted = r"two\.csv: missions of 2 vehicles; a report takes those of one alone$"
+    with pytest.raises(ValueError, match=wanted):
+        read(tmp_path)
+
+
 def test_new_missions_of_a_learned_policy_are_joined_to_those_of_an_older_version(tmp_path: Path) -> None:
     """Which gave it a planner's headings, and did not say which version it was."""
     write_csv([flown(1_000_000, policy="ppo")], tmp_path / "old.csv")
