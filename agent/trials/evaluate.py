@@ -165,6 +165,8 @@ def run(args: argparse.Namespace) -> int:
             reach(name, cli.reach_given(args), args.problem)
     except ValueError as error:
         raise cli.BadInput(str(error)) from error
+    if args.resume and not args.missions:
+        raise cli.BadInput("--resume: needs --missions FILE.csv, the table whose rows it keeps")
     if args.missions and (
         refusal := cli.unwritable("--missions", [args.missions], args.force or args.resume)
     ):
@@ -283,12 +285,11 @@ def read_csv(path: Path) -> list[MissionRow]:
         reader = csv.reader(_lines(file))
         try:
             columns = next(reader, [])
-            rows = [_row(columns, values) for values in reader if values]
             if "policy" not in columns:
                 raise ValueError("this is no table of missions: its first line has no column policy")
-            return rows
+            return [_row(columns, values) for values in reader if values]
         except (ValueError, csv.Error, OSError, EOFError, zlib.error) as error:
-            raise ValueError(f"{path}: line {reader.line_num}: {error}") from error
+            raise ValueError(f"{path}: line {max(reader.line_num, 1)}: {error}") from error
 
 
 def _lines(file: IO[str]) -> Iterator[str]:
@@ -314,7 +315,9 @@ def _row(columns: Sequence[str], values: Sequence[str]) -> MissionRow:
 
 
 def _open(path: Path, mode: str, *, compressed: bool) -> IO[str]:
-    return cast(IO[str], (gzip.open if compressed else open)(path, mode, newline=""))
+    # A spreadsheet may have begun the table with a byte order mark.
+    encoding = "utf-8-sig" if mode == "rt" else "utf-8"
+    return cast(IO[str], (gzip.open if compressed else open)(path, mode, encoding=encoding, newline=""))
 
 
 def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> None:

@@ -452,6 +452,27 @@ def test_a_table_of_something_else_is_refused_by_name(tmp_path: Path) -> None:
         read_csv(tmp_path / "other.csv")
 
 
+@pytest.mark.parametrize("begin", [b"", b"\xff\xfe", b"seed;policy\n"])
+def test_what_does_not_begin_as_a_table_is_refused_in_its_first_line(tmp_path: Path, begin: bytes) -> None:
+    (tmp_path / "other.csv").write_bytes(begin)
+    with pytest.raises(ValueError, match=r"other\.csv: line 1: "):
+        read_csv(tmp_path / "other.csv")
+
+
+def test_a_table_that_a_spreadsheet_has_saved_is_read(tmp_path: Path) -> None:
+    """Which begins with a byte order mark."""
+    path = tmp_path / "rows.csv"
+    write_csv([ROW], path)
+    path.write_text(path.read_text(), encoding="utf-8-sig")
+    assert read_csv(path) == [ROW]
+
+
+def test_resuming_without_a_table_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments=["evaluate", "--resume", "--scenarios", "1"]) == 2
+    said = "error: --resume: needs --missions FILE.csv, the table whose rows it keeps\n"
+    assert capsys.readouterr().err == said
+
+
 def test_a_small_table_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
     packed = gzip.compress(b"policy\n" + bytes(200_000_000))
     assert len(packed) < 200_000
