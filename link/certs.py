@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
     parser.add_argument(
         "folder",
-        type=Path,
+        type=cli.path,
         metavar="DIR",
         help="where they are kept; existing certificates stay, the CA above all",
     )

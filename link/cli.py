@@ -204,6 +204,13 @@ def _accepted(kind: Callable[[str], T], accepts: Callable[[T], bool], wanted: st
     return parse
 
 
+def path(text: str) -> Path:
+    """Argument type: a file or a folder. An empty text, as of a variable that is not set, is not one."""
+    if not text:
+        raise argparse.ArgumentTypeError("'' is not allowed; wanted a path")
+    return Path(text)
+
+
 def file_ending(*endings: str) -> Callable[[str], Path]:
     """Argument type: a file with one of these endings."""
     return _accepted(Path, lambda path: path.suffix in endings, f"a file that ends in {listing(endings)}")
@@ -258,7 +265,7 @@ def add_secure_argument(parser: argparse.ArgumentParser) -> None:
     """Add the flag that secures the bus."""
     parser.add_argument(
         "--secure",
-        type=Path,
+        type=path,
         metavar="DIR",
         help="mutual TLS, with the certificates that `plumeward certs DIR` made; tcp/ then means tls/",
     )

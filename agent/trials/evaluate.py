@@ -114,7 +114,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_fleet_arguments(parser)
     parser.add_argument(
         "--missions",
-        type=Path,
+        type=cli.path,
         metavar="FILE.csv",
         help="write one row per mission to this file; FILE.csv.gz compresses",
     )

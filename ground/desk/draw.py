@@ -19,7 +19,7 @@ MOST_STEPS = 1_000_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
-    parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap written by a mission or `record`")
+    parser.add_argument("log", metavar="LOG", type=cli.path, help="an .mcap written by a mission or `record`")
     parser.add_argument(
         "--out",
         type=cli.file_ending(".png", ".svg"),

@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "log",
         metavar="LOG",
-        type=Path,
+        type=cli.path,
         help="an .mcap written by a mission or `record`, or any autopilot's .tlog, .bin or .ulg",
     )
     output = parser.add_mutually_exclusive_group()

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file",
         metavar="FILE",
-        type=Path,
+        type=cli.path,
         help="a .npy or .h5 movie, a folder of Zarr, or the folder of GADEN's iteration_0, iteration_1, …",
     )
     parser.add_argument("-o", "--out", metavar="FILE.png", type=cli.file_ending(".png"), help="draw it, too")

@@ -34,16 +34,18 @@ def _bounds(text: str) -> tuple[float, float, float, float]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
-    parser.add_argument("log", metavar="RECORD", type=Path, help="an .mcap written by a mission or `record`")
+    parser.add_argument(
+        "log", metavar="RECORD", type=cli.path, help="an .mcap written by a mission or `record`"
+    )
     parser.add_argument(
         "--out",
-        type=Path,
+        type=cli.path,
         metavar="DIR",
         help=f"folder of the documents: {', '.join(DOCUMENTS)} (default: RECORD-findings beside the record)",
     )
     parser.add_argument(
         "--background",
-        type=Path,
+        type=cli.path,
         metavar="IMAGE",
         help="picture under the map: a GeoTIFF, or a PNG or JPEG with a world file beside it or --bounds",
     )

@@ -8,7 +8,6 @@ import math
 import sys
 import time
 from functools import partial
-from pathlib import Path
 
 import msgspec
 
@@ -45,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "log",
         metavar="LOG",
-        type=Path,
+        type=cli.path,
         help="an .mcap that a mission or `record` wrote, any autopilot's .tlog, .bin or .ulg, or a table of "
         "positions and gas (.csv)",
     )
@@ -124,7 +123,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--findings",
-        type=Path,
+        type=cli.path,
         metavar="DIR",
         help="tlog, csv: write what has been found into this folder: a page, GeoJSON, KML, CSV and JSON",
     )

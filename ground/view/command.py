@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     logs = parser.add_argument(
         "logs",
         nargs="*",
-        type=Path,
+        type=cli.path,
         metavar="LOG",
         help="a record, or two to compare; without one: a live stack",
     )
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--token-file",
-        type=Path,
+        type=cli.path,
         metavar="FILE",
         help="allow commands only to those who enter the word in this file; if there is none, it is made "
         "with a new word",

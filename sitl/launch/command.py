@@ -101,7 +101,7 @@ def add_arguments(
     parser.add_argument("--no-record", action="store_true", help="record nothing")
     parser.add_argument(
         "--findings",
-        type=Path,
+        type=cli.path,
         metavar="DIR",
         help="write what the mission has found into this folder: a page, GeoJSON, KML, CSV and JSON",
     )

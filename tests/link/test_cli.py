@@ -30,6 +30,8 @@ COMMANDS = [
     (["sitl", "fly", "--particles", "-5"], ["--particles", "'-5'", "from 10 to 1000000"]),
     (["sitl", "--speedup", "-1"], ["--speedup", "'-1'", "from 0"]),
     (["sitl", "uav", "--out", "serial:/dev/tty"], ["--out", "'serial:/dev/tty'", "udpout:HOST:PORT"]),
+    (["link", "certs", ""], ["DIR: '' is not allowed; wanted a path"]),
+    (["agent", "report", "--out", ""], ["--out: '' is not allowed; wanted a path"]),
     (["sitl", "uav", "--home", "91,0,0,0"], ["--home", "'91,0,0,0'", "LAT within ±90"]),
     (["sitl", "fly", "--patience", "1"], ["--patience", "'1'", "from 5 up to inf"]),
     (["sitl", "juggle"], ["'juggle'", "fly", "uav", "router"]),

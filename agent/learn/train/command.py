@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out",
-        type=Path,
+        type=cli.path,
         metavar="FOLDER",
         help=f"folder for checkpoints, curve and bundle (default: {KEPT_IN}/ALGORITHM-PRESET-SEED)",
     )

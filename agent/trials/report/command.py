@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `report`."""
     parser.add_argument(
         "--results",
-        type=Path,
+        type=cli.path,
         default=Path("results"),
         metavar="DIR",
         help="folder of raw results, the .csv and .csv.gz files of `evaluate --missions` (default: "
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out",
-        type=Path,
+        type=cli.path,
         default=Path("report"),
         metavar="DIR",
         help="folder to write to (default: %(default)s)",
