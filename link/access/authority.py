@@ -1,11 +1,13 @@
 """The development CA: makes certificates for the router and all roles, each with a key of its own."""
 
+import contextlib
 import datetime
+import fcntl
 import ipaddress
 import os
 import re
 import stat
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +16,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from link.access.identity import AccessError, issued
+from link.access.identity import AccessError, contents, issued
 from link.access.roles import FOR_ALL, OF_A_SEARCH, OF_A_VEHICLE, ON_BOARD, ROUTER, common_name
 
 CA = "ca"
@@ -69,28 +71,41 @@ def make(
     """
     begins = (now or datetime.datetime.now(datetime.UTC)) - EARLIER
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if new := not _there(folder / CA, force=False):
-        _make_ca(folder, begins)
-    ca = _read_ca(folder)
-    made = [Made(CA, ca.certificate.not_valid_after_utc, new)]
-    names = [
-        ROUTER,
-        *FOR_ALL,
-        *_of_vehicles(vehicles, search),
-    ]
-    until = min(begins + datetime.timedelta(days=days) + EARLIER, ca.certificate.not_valid_after_utc)
-    if until <= begins:
-        raise AccessError(f"{folder / 'ca.pem'} has expired: make a new CA, in another folder")
-    for name in names:
-        path = folder / name
-        if new := not _there(path, force=force):
-            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            _issue(path, name, hosts, ca, begins, until)
-        certificate = _read(path)
-        if not issued(certificate, ca.certificate):
-            raise AccessError(f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {REPLACE}")
-        made.append(Made(name, certificate.not_valid_after_utc, new))
-    return made
+    with _alone_in(folder):
+        if new := not _there(folder / CA, force=False):
+            _make_ca(folder, begins)
+        ca = _read_ca(folder)
+        made = [Made(CA, ca.certificate.not_valid_after_utc, new)]
+        names = [
+            ROUTER,
+            *FOR_ALL,
+            *_of_vehicles(vehicles, search),
+        ]
+        until = min(begins + datetime.timedelta(days=days) + EARLIER, ca.certificate.not_valid_after_utc)
+        if until <= begins:
+            raise AccessError(f"{folder / 'ca.pem'} has expired: make a new CA, in another folder")
+        for name in names:
+            path = folder / name
+            if new := not _there(path, force=force):
+                path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+                _issue(path, name, hosts, ca, begins, until)
+            certificate = _read(path)
+            if not issued(certificate, ca.certificate):
+                raise AccessError(f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {REPLACE}")
+            made.append(Made(name, certificate.not_valid_after_utc, new))
+        return made
+
+
+@contextlib.contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Wait until no other process makes certificates in a folder: each would make a CA of its own."""
+    opened = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # a file system that knows no locks
+            fcntl.flock(opened, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(opened)
 
 
 def _of_vehicles(vehicles: Iterable[int], search: int | None) -> Iterable[str]:
@@ -139,7 +154,7 @@ def _there(path: Path, *, force: bool) -> bool:
 def _read(path: Path) -> x509.Certificate:
     pem = files(path)[0]
     try:
-        return x509.load_pem_x509_certificate(pem.read_bytes())
+        return x509.load_pem_x509_certificate(contents(pem))
     except ValueError:
         what = "make a new CA, in another folder" if path.name == CA else REPLACE
         raise AccessError(f"{pem} is not a certificate: {what}") from None
@@ -148,7 +163,7 @@ def _read(path: Path) -> x509.Certificate:
 def _read_ca(folder: Path) -> _Issuer:
     certificate, file = _read(folder / CA), files(folder / CA)[1]
     try:
-        key = serialization.load_pem_private_key(file.read_bytes(), None)
+        key = serialization.load_pem_private_key(contents(file), None)
     except (ValueError, TypeError):
         key = None
     if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():

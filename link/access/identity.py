@@ -1,6 +1,7 @@
 """A service's own certificate: found, checked and given to Zenoh; and why a router was not reached."""
 
 import datetime
+import errno
 import socket
 import ssl
 from pathlib import Path
@@ -113,7 +114,7 @@ def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
 
     path = folder / f"{name}.pem"
     try:
-        *pems, secret = (file.read_bytes() for file in (folder / "ca.pem", path, path.with_suffix(".key")))
+        *pems, secret = map(contents, (folder / "ca.pem", path, path.with_suffix(".key")))
     except OSError as error:
         more = _making(namespace) if namespace else ""
         raise AccessError(
@@ -152,6 +153,13 @@ def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
         if is_so:
             raise AccessError(f"--secure: {fault}")
     return min(ca.not_valid_after_utc, own.not_valid_after_utc)
+
+
+def contents(path: Path) -> bytes:
+    """Return what a file holds. Raises OSError, also of a pipe or a device, which may never end."""
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "it is not a file", str(path))
+    return path.read_bytes()
 
 
 def _making(space: str) -> str:

@@ -7,6 +7,8 @@ import os
 import shutil
 import ssl
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -109,6 +111,33 @@ def test_what_is_there_stays_and_what_is_missing_is_made_by_the_same_ca(tmp_path
     after = contents(tmp_path)
     assert {name for name in before if after[name] != before[name]} == {"uav/1/agent.pem", "uav/1/agent.key"}
     assert shakes_hands(tmp_path, "router", "uav/1/agent")
+
+
+def test_several_at_once_make_one_ca(tmp_path: Path) -> None:
+    loaded = (
+        "import sys; from pathlib import Path; from link.access.authority import make; print(flush=True); "
+    )
+    command = [sys.executable, "-c", loaded + "input(); make(Path(sys.argv[1]), [int(sys.argv[2])])"]
+    makers = [
+        subprocess.Popen(
+            [*command, str(tmp_path / "new"), str(number)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for number in (1, 2, 3)
+    ]
+    for maker in makers:
+        assert maker.stdout
+        maker.stdout.readline()
+    for maker in makers:
+        assert maker.stdin
+        maker.stdin.write("\n")
+        maker.stdin.flush()
+    for maker in makers:
+        maker.communicate(timeout=60)
+    assert [maker.returncode for maker in makers] == [0, 0, 0]
+    assert not any(one.new for one in make(tmp_path / "new", [1, 2, 3]))  # which refuses those of another CA
 
 
 def test_force_makes_all_but_the_ca_anew(tmp_path: Path) -> None:

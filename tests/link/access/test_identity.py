@@ -3,6 +3,7 @@ names it.
 """
 
 import datetime
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -54,6 +55,11 @@ def of_tomorrow(folder: Path) -> None:
     make(folder, [1], now=datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=1))
 
 
+def a_pipe(folder: Path) -> None:
+    (folder / "uav/1/agent.key").unlink()
+    os.mkfifo(folder / "uav/1/agent.key")
+
+
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
@@ -65,6 +71,7 @@ def of_tomorrow(folder: Path) -> None:
             lambda folder: (folder / "uav/1/agent.key").unlink(),
             r"cannot read .*uav/1/agent\.key: No such file",
         ),
+        (a_pipe, r"cannot read .*uav/1/agent\.key: it is not a file"),
         (lambda folder: (folder / "ca.pem").unlink(), r"cannot read .*ca\.pem: No such file"),
         (
             lambda folder: (folder / "uav/1/agent.pem").write_text("-"),
