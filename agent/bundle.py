@@ -153,6 +153,8 @@ def _line(error: Exception) -> str:
 
 def read(path: Path) -> tuple[Page, bytes]:
     """Read a bundle's page and graph. Raises BundleError if the file is not a valid bundle."""
+    if path.exists() and not path.is_file():  # a pipe may never end
+        raise BundleError(f"not a bundle: it is not a file; wanted a zip file of {PAGE} and {GRAPH}")
     try:
         with zipfile.ZipFile(path) as file:
             page, graph = (_member(file, name) for name in (PAGE, GRAPH))

@@ -3,6 +3,7 @@ line.
 """
 
 import math
+import os
 import struct
 import subprocess
 import sys
@@ -296,6 +297,11 @@ def test_what_is_no_zip_is_refused(tmp_path: Path, content: bytes | None, words:
 
 def test_a_folder_is_refused(tmp_path: Path) -> None:
     assert WANTED in refusal(tmp_path)
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.zip")
+    assert refusal(tmp_path / "pipe.zip") == f"not a bundle: it is not a file; {WANTED}"
 
 
 def test_a_file_that_was_cut_off_is_refused_wherever_that_was(tmp_path: Path) -> None:
