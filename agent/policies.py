@@ -72,7 +72,7 @@ def _first_line(module: str) -> str:
 def _about(plugin: EntryPoint) -> str:
     try:
         about = inspect.getdoc(plugin.load()) or ""
-    except Exception as error:  # it may be anybody's code
+    except (Exception, SystemExit) as error:  # it may be anybody's code
         about = f"does not load: {type(error).__name__}: {_short(str(error))}"
     return f"{about.partition(chr(10))[0]} [plug-in {plugin.value}]".lstrip()
 
@@ -166,7 +166,7 @@ def _plugged_in(name: str, plugins: Sequence[EntryPoint]) -> Policy:
         )
     try:
         found: Policy = plugin.load()
-    except Exception as error:  # it may be anybody's code
+    except (Exception, SystemExit) as error:  # it may be anybody's code
         raise ValueError(
             f"{name} of {plugin.value} does not load: {type(error).__name__}: {_short(str(error))}"
         ) from error
@@ -250,7 +250,7 @@ def choose(name: str, belief: Belief, particles: Particles, seed: int, within: R
     seen.flags.writeable = False
     try:
         said: object = decide(belief, seen, within, keyed(seed, name, belief.step))
-    except Exception as error:  # it may be anybody's code
+    except (Exception, SystemExit) as error:  # it may be anybody's code
         where = traceback.extract_tb(error.__traceback__)[-1]
         raise PolicyError(
             f"policy {name} failed: {type(error).__name__}: {_short(str(error))} "

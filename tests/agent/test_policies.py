@@ -425,10 +425,17 @@ def test_a_decision_that_raises_is_told_with_its_place(plug: Plug, seen: tuple[B
     assert isinstance(refused.value.__cause__, ZeroDivisionError)  # a developer needs its traceback
 
 
+def test_a_decision_that_ends_the_program_has_failed(plug: Plug, seen: tuple[Belief, Particles]) -> None:
+    module = plug("def theirs(belief, particles, reach, rng): raise SystemExit(0)")
+    with pytest.raises(PolicyError, match=rf"^policy theirs failed: SystemExit: 0 \({module}\.py, line 1\)$"):
+        choose("theirs", *seen, 0, Reach())
+
+
 @pytest.mark.parametrize(
     ("source", "value", "words"),
     [
         ("raise OSError('no\\nmap')", "theirs", "theirs of {module}:theirs does not load: OSError: no map"),
+        ("raise SystemExit", "theirs", "theirs of {module}:theirs does not load: SystemExit: "),
         ("def theirs(:", "theirs", "does not load: SyntaxError: invalid syntax"),
         ("", "theirs", "does not load: AttributeError: module '{module}' has no attribute 'theirs'"),
         (
