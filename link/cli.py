@@ -33,6 +33,7 @@ PARTICLES = (10, 1_000_000)
 FARTHEST_OUT_M = 100_000  # of --margin
 HEADINGS = (4, 8)
 MOST_MEASUREMENTS = 10_000
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # no space: of the disk, of the user, of a file
 COMPLETING = "_ARGCOMPLETE"  # the environment variable by which a shell asks for completions
 
 
@@ -521,7 +522,7 @@ def _refusals() -> tuple[type[Exception], ...]:
 def _lost_output(error: OSError) -> int:
     """Return the status of a command whose output cannot be written. Raises any other error again."""
     unread = error.errno in (errno.EPIPE, errno.EIO) and any(map(_unread, STREAMS))
-    if not unread and error.errno != errno.ENOSPC:
+    if not unread and error.errno not in FULL:
         raise error
     if not unread:
         print(f"error: {error.strerror}", file=sys.stderr)

@@ -3,6 +3,7 @@ and status 2.
 """
 
 import argparse
+import errno
 import os
 import signal
 import subprocess
@@ -150,6 +151,21 @@ cli.run(lambda: os.kill(os.getpid(), signal.SIGTERM))
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
     )
     assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG])
+def test_what_does_not_fit_on_the_disk_is_one_line(number: int) -> None:
+    program = f"""
+import os
+from link import cli
+def full():
+    raise OSError({number}, os.strerror({number}))
+cli.run(full)
+"""
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (ran.returncode, ran.stdout, ran.stderr) == (1, "", f"error: {os.strerror(number)}\n")
 
 
 LAUNCHER = """

@@ -12,6 +12,7 @@ from agent.bundle import read, write
 from agent.learn.env import Settings
 from agent.trials.evaluate import FIRST_TEST_SEED, named, print_table
 from agent.trials.sweep import Sweep, flown, journal_of, on_cores
+from link.terminal import tell
 from plume.problem import PAPER
 
 
@@ -27,6 +28,7 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
     """
     page, graph = read(bundle)
     if page.evaluation:
+        tell(f"{bundle} has its figures already")
         return
     settings = Settings(**page.training["env"])
     settings = replace(settings, threshold_m=None, budget=None)  # what it is flown with

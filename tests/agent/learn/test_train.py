@@ -504,6 +504,7 @@ def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(
     _, err = again.communicate(timeout=300)
     assert again.returncode == 0
     assert "is already trained" in err
+    assert f"{tmp_path / 'run' / 'ppo.zip'} has its figures already\n" in err
     assert (tmp_path / "run" / "ppo.zip").read_bytes() == before
     assert learn(tmp_path / "here", recipe, seed=6).curve == page.curve
     assert read(tmp_path / "here" / "policy.zip")[1] == graph
