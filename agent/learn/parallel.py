@@ -10,7 +10,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.seeding import np_random
 from pettingzoo import ParallelEnv
 
-from agent.learn.env import REWARDS, TRAINING_SEEDS, Settings, checked_seed, with_options
+from agent.learn.env import REWARDS, TRAINING_SEEDS, ActionError, Settings, checked_seed, with_options
 from agent.observation import SCHEMAS, Frame, Observation
 from agent.planning.apart import Shared
 from agent.planning.moves import Reach
@@ -19,6 +19,7 @@ from agent.trials.rollout import prepared
 from agent.trials.rounds import Round, Rounds
 from plume.outcome import verdict
 from plume.problems.fleet import Fleet, Place
+from plume.problems.values import short
 
 OF_FLEET = ("vehicles", "formation", "separation_m")
 
@@ -112,10 +113,15 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
     ]:
         """Fly each vehicle to the waypoint of its action and take the readings there.
 
-        Raises ActionError on an action outside its space, or KeyError if one is missing; then nobody moves.
+        Raises ActionError on an action outside its space, or if one is missing or of nobody; then nobody
+        moves.
         """
         if self._rounds is None or not self.agents:
             raise ResetNeeded("call reset before step")
+        if not isinstance(actions, Mapping) or actions.keys() != {*self.agents}:
+            given = short([*actions] if isinstance(actions, Mapping) else actions)
+            wanted = f"wanted one of each of {', '.join(self.agents)}"
+            raise ActionError(f"actions of {given} are not allowed; {wanted}")
         checked = [self.settings.actions(actions[agent])[None] for agent in self.agents]
         places, area = self._rounds.places, self.searching.searched.ground
 

@@ -147,7 +147,14 @@ def test_wrong_actions_and_settings_are_refused_and_move_nobody() -> None:
     _, before = env.reset(seed=4)
     with pytest.raises(ActionError, match="whole number from 0 to 15"):
         env.step({"uav_1": 3, "uav_2": 16})
-    with pytest.raises(KeyError):
-        env.step({"uav_1": 3})
+    for actions, said in (
+        ({"uav_1": 3}, r"\['uav_1'\]"),
+        ({}, r"\[\]"),
+        ({"uav_1": 3, "uav_2": 3, "uav_3": 3}, r"\['uav_1', 'uav_2', 'uav_3'\]"),
+        ([3, 3], r"\[3, 3\]"),
+    ):
+        wanted = f"^actions of {said} are not allowed; wanted one of each of uav_1, uav_2$"
+        with pytest.raises(ActionError, match=wanted):
+            env.step(actions)  # type: ignore[arg-type]
     *_, after = env.step({"uav_1": 0, "uav_2": 0})
     assert math.dist(before["uav_1"]["position"], after["uav_1"]["position"]) <= 1.001
