@@ -21,6 +21,7 @@ from link.bus.messages import Health
 from link.bus.session import Arrival, Bus
 from link.record.own import OWN_HEALTH
 from plume.geodesy import to_global
+from plume.problem import FARTHEST_M
 from scene.follow.history import History
 from scene.follow.telemetry import TEXT, frames
 
@@ -170,8 +171,8 @@ class RosOrders:
         place, frame = message.pose.position, message.header.frame_id
         if frame.removeprefix("/") not in ("", own):
             raise Refusal(f"its frame is {frame[:100]!r}; wanted {own}, or none")
-        if not all(map(math.isfinite, (place.x, place.y, place.z))) or place.z < 0.0:
-            raise Refusal("its position is not finite, or below home")
+        if not (abs(place.x) <= FARTHEST_M and abs(place.y) <= FARTHEST_M and 0.0 <= place.z <= FARTHEST_M):
+            raise Refusal(f"its position is below home, or not within {FARTHEST_M:,.0f} m of it")
         if history.home is None or history.craft is None:
             raise Refusal("the vehicle has not told yet where its home is")
         up_m = place.z or history.craft.altitude_m

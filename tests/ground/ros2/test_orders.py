@@ -133,11 +133,26 @@ def test_a_goal_without_a_height_keeps_it(searched: Vehicle) -> None:
 
 
 @pytest.mark.parametrize(
-    "goal", [(float("nan"), 1.0, 1.0), (1.0, float("inf"), 1.0), (1.0, 1.0, -1.0), (1.0, 1.0, 1.0, "odom")]
+    "goal",
+    [
+        (float("nan"), 1.0, 1.0),
+        (1.0, float("inf"), 1.0),
+        (1.0, 1.0, -1.0),
+        (1.0, 1.0, 1.0, "odom"),
+        (1.7e308, 1.7e308, 1.0),
+        (1.0, 1.0, 1e39),
+        (40_030_173.0, 0.0, 5.0),  # once around the earth, and home again
+    ],
 )
 def test_a_goal_that_is_nowhere_is_refused(searched: Vehicle, goal: tuple) -> None:
     assert searched.goal(*goal) == []
     assert searched.tally.refused == {REFUSED: 1}
+
+
+def test_a_goal_too_far_away_is_refused_with_what_is_allowed(searched: Vehicle) -> None:
+    searched.goal(100_001.0, 1.0, 1.0)
+    said = "refused goal_pose: its position is below home, or not within 100,000 m of it"
+    assert searched.log.lines == [said]
 
 
 def takes(vehicle: Vehicle) -> None:
