@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from itertools import islice
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, resource_tracker
 from multiprocessing.connection import Connection
 from typing import TypeVar
 
@@ -37,6 +37,7 @@ def as_flown(
     """
     for name in THREADS:
         os.environ.setdefault(name, "1")
+    _start_tracker()
     context, left = get_context("spawn"), iter(tasks)
     running: dict[Future[Result], Task] = {}
     alive, kept_open = context.Pipe(duplex=False)
@@ -61,6 +62,18 @@ def as_flown(
             if isinstance(error, BrokenExecutor):
                 raise WorkerLost("a worker process was killed; the memory may have run out") from error
             raise
+
+
+def _start_tracker() -> None:
+    """Start the process that looks after what workers share.
+
+    One that a closed terminal ends before this process leaves its successor to tell tracebacks.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _submit(pool: ProcessPoolExecutor, function: Callable[[Task], Result], task: Task) -> Future[Result]:

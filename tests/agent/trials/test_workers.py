@@ -4,6 +4,8 @@ left behind.
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -12,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from agent.trials.workers import HANDED_OUT, WorkerLost, as_flown
+from link.early import INTERRUPTED
 
 pytestmark = pytest.mark.slow
 
@@ -94,3 +97,25 @@ def test_who_stops_listening_leaves_no_worker_behind(tmp_path: Path, wait_until:
     wait_until(lambda: len(list(tmp_path.iterdir())) == 2)
     flown.close()
     assert all(gone(int(path.name)) for path in tmp_path.iterdir())
+
+
+HUNG_UP = """
+import time
+from agent.trials.workers import as_flown
+from link import cli
+def fly():
+    for _ in as_flown(time.sleep, [0, 600], 1):
+        print("flying", flush=True)
+cli.run(fly)
+"""
+
+
+def test_a_terminal_that_closes_ends_them_all_without_a_word() -> None:
+    """It sends SIGHUP to each of them."""
+    command = [sys.executable, "-c", HUNG_UP]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **streams, text=True, start_new_session=True) as flying:  # type: ignore[call-overload]
+        assert flying.stdout.readline() == "flying\n"
+        os.killpg(flying.pid, signal.SIGHUP)
+        assert flying.communicate(timeout=60) == ("", "")
+    assert flying.returncode == INTERRUPTED
