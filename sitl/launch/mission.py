@@ -207,7 +207,7 @@ def estimator_arguments(mission: Launch) -> list[str]:
 def _overdue_s(mission: Launch) -> float:
     """Return the real time for which a round waits for a vehicle: less than the others wait for the agent."""
     script = mission.script
-    leg_s = longest_wait_s(script.vehicle_config(1), script.simulated().sensor.dwell)
+    leg_s = longest_wait_s(script.vehicle_config(1), script.simulated().sensor)
     waits_s = min(OVERDUE_S, OF_SILENCE * script.vehicle.silence_s)
     return round(waits_s + (leg_s / script.speedup if script.speedup else 0.0), 1)
 

@@ -18,7 +18,14 @@ from plume.problems.options import add_fleet_arguments
 from sitl.autopilot.vehicle import Vehicle
 from sitl.script.options import ORIGIN_WANTED, fleet_of, origin_of, script_for_vehicle, script_of
 from sitl.script.script import Script
-from sitl.uav.options import add_vehicle_arguments, at_own_home, at_own_stand, check_ids, longest_wait_s
+from sitl.uav.options import (
+    add_vehicle_arguments,
+    at_own_home,
+    at_own_stand,
+    check_ids,
+    longest_wait_s,
+    reading_s,
+)
 from sitl.uav.simulated import simulated_uav
 
 REAL_VEHICLE = "aircraft.remote.command"  # flies a real vehicle; loaded only then
@@ -65,8 +72,8 @@ def run(args: argparse.Namespace) -> int:
         _berth(args, script, fleet, number) if together else None,
     )
     config = script.vehicle_config(args.sysid or args.instance + 1)
-    if together:
-        config = replace(config, silence_s=config.silence_s + longest_wait_s(config, world.sensor.dwell))
+    waits_s = longest_wait_s(config, world.sensor) if together else reading_s(world.sensor)
+    config = replace(config, silence_s=config.silence_s + waits_s)
     if args.vehicle:
         if together:  # each has an id of its own, or a waypoint would be for two
             args.sysid = config.sysid

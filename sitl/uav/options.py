@@ -15,6 +15,8 @@ from link.access.roles import MOST_SEARCHES, MOST_VEHICLES
 from link.signing.key import read_key
 from plume.flight import TRY_AGAIN_S, leg_s
 from plume.geodesy import to_global
+from plume.sensors.instruments import Instrument
+from plume.sensors.names import Sensor
 from sitl.autopilot.config import VehicleConfig
 from sitl.script.options import add_mission_arguments
 
@@ -82,7 +84,8 @@ def add_vehicle_arguments(
         type=cli.number(0, math.inf, above=True),
         default=30.0,
         metavar="S",
-        help="return home and land after S real seconds without a waypoint (default: %(default)g)",
+        help="return home and land after S real seconds without a waypoint, beyond the sensor's dwell and "
+        "warm-up (default: %(default)g)",
     )
     parser.add_argument(
         "--strict",
@@ -143,12 +146,17 @@ def at_own_stand(config: VehicleConfig, berth: Berth, number: int) -> VehicleCon
     return replace(config, stand=(y, x), return_altitude_m=min(higher_m, config.ceiling_m))
 
 
-def longest_wait_s(config: VehicleConfig, dwell_s: float) -> float:
+def reading_s(sensor: Sensor) -> float:
+    """Return the longest time that a sensor may take for a reading: no waypoint comes before it, s."""
+    return sensor.dwell + (sensor.warmup if isinstance(sensor, Instrument) else 0.0)
+
+
+def longest_wait_s(config: VehicleConfig, sensor: Sensor) -> float:
     """Return the longest time that others may take to their next reading: no agent is silent for that, s."""
     area = config.flown
     corners = [(0.0, 0.0), area.low, area.high]
     legs = [leg_s(a, b, config.speed_mps, config.accel_mps2) for a, b in combinations(corners, 2)]
-    return float(max(legs)) + dwell_s + TRY_AGAIN_S
+    return float(max(legs)) + reading_s(sensor) + TRY_AGAIN_S
 
 
 def _home(text: str) -> tuple[float, float, float, float]:

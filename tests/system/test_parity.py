@@ -126,6 +126,7 @@ def test_options_reach_every_part(tmp_path: Path, in_process: Callable) -> None:
         ),
         full(["--prior", "z=fixed:4", "--prior", "d=gamma:3,1.5", "--stop-on", "d=1"]),
         ["--sensor", "pid:warmup=7.5", "--world", "wind-noisy+readings-lost"],
+        ["--sensor", "pid:warmup=60,dwell=40", "--budget", "3"],  # longer than the silence of 30 s
         full(["--sensor", "tgs2620", "--dwell", "3", "--world", "puffs"]),
         full(["--sensor", "tdlas", "--dwell", "1", "--assume", "paper"]),
     ],
