@@ -66,8 +66,8 @@ def of_file(name: str) -> Problem:
     """Return the problem of a YAML file. Raises ValueError."""
     path = Path(name)
     kind = path.suffix.lower()
-    if not os.path.lexists(path) and re.fullmatch(r"[\w-]+", name):
-        raise ValueError(f"{name!r} is no problem and no file{nearest(name, PROBLEMS, 'wanted')} {FORMS}")
+    if not os.path.lexists(name) and re.fullmatch(r"[^/.]*", name):
+        raise ValueError(f"{name!r:.60} is no problem and no file{nearest(name, PROBLEMS, 'wanted')} {FORMS}")
     try:
         with open(path, "rb", opener=lambda file, flags: os.open(file, flags | os.O_NONBLOCK)) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):

@@ -39,9 +39,10 @@ COMMANDS = [
     (["sitl", "fyl"], ["python -m sitl: error: no command 'fyl'; did you mean 'fly'?"]),
     (["sitl", "fly", "--sed", "3"], ["python -m sitl fly: error: no flag '--sed'; did you mean '--seed'?"]),
     (
-        ["sitl", "fly", "--policy", "hommer", "--no-record"],
-        ["'hommer'", "did you mean 'homing'?", "Wanted infotaxis, "],
+        ["sitl", "fly", "--policy", "homming", "--no-record"],
+        ["'homming'", "did you mean 'homing'?", "Wanted infotaxis, "],
     ),
+    (["agent", "rollout", "--policy", "/tmp"], ["--policy: '/tmp' is not allowed; wanted infotaxis, "]),
     (
         ["estimator", "--sensor", "hit:1,2"],
         ["'hit:1,2'", "did you mean 'hits'?", "Wanted gaussian, threshold, hits"],

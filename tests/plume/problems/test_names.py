@@ -85,6 +85,11 @@ def test_a_file_that_is_none_is_refused_in_a_line(text: str, said: str, tmp_path
 def test_a_name_that_is_none_says_what_is_allowed(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="'papr' is no problem and no file; did you mean 'paper'"):
         named("papr")
+    for name in ("", "wide field", "a\0b", "x" * 5000):
+        with pytest.raises(ValueError, match=r"^'.{,60} is no problem and no file; wanted paper, a YAML"):
+            named(name)
+    with pytest.raises(ValueError, match="unknown field 'type'; wanted fields"):  # not: did you mean 'stop'?
+        named({"type": "FeatureCollection"})
     with pytest.raises(ValueError, match="not valid JSON"):
         named("{area")
     with pytest.raises(ValueError, match=r"Is a directory|a pipe or a device"):
