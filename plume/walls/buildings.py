@@ -53,6 +53,8 @@ def read(file: str) -> Buildings:
         if not path.exists():
             names = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.yaml")))
             raise ValueError(f"no file of buildings {file!r}; wanted a path or one of {names}")
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{file}: cannot be read: a folder, a pipe or a device; wanted a file")
     try:
         with path.open("rb") as opened:
             content = opened.read(MOST_BYTES + 1)

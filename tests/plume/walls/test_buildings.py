@@ -1,5 +1,6 @@
 """Protects files of buildings: what they may say, and one clear line about each that is wrong."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -96,6 +97,14 @@ def test_aliases_that_expand_to_millions_of_values_are_refused_at_once(tmp_path:
     lists = "\n".join(f"  - &a{k + 1} [{', '.join([f'*a{k}'] * 40)}]" for k in range(9))
     with pytest.raises(ValueError, match="Expected"):
         read(written(tmp_path, f"buildings:\n  - &a0 [1]\n{lists}\n"))
+
+
+@pytest.mark.timeout(20)
+def test_a_folder_or_a_pipe_that_nobody_writes_to_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.yaml")
+    for path in (tmp_path, tmp_path / "pipe.yaml"):
+        with pytest.raises(ValueError, match="cannot be read: a folder, a pipe or a device; wanted"):
+            read(str(path))
 
 
 def test_a_file_that_is_not_there_or_no_text_is_refused(tmp_path: Path) -> None:
