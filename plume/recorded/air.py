@@ -58,6 +58,10 @@ def recorded(
     footage = _opened(Path(file), gas, *_stamp(Path(file)))
     facts = footage.facts
     axes = [f"source_{axis}" for axis in "xyz"[: len(facts.cells)]]
+    if source_z and "source_z" not in axes:
+        raise ValueError(
+            f"source_z is {source_z!r}; wanted it of GADEN's results only: a movie has no heights"
+        )
     known = dict(zip(axes, facts.source or (), strict=False)) | ({"fps": facts.fps} if facts.fps else {})
     texts = {"fps": fps, "source_x": source_x, "source_y": source_y, "source_z": source_z, "wind": wind}
     known |= {name: _number(name, text) for name, text in texts.items() if text}

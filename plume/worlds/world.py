@@ -15,6 +15,7 @@ import numpy as np
 
 from plume.elementary import Array, direction, float32
 from plume.flight import usual_s
+from plume.parameters import MOST
 from plume.problem import PAPER, Place, Problem
 from plume.randomness import Abreast, Keyed, derived_seed, keyed, seed_of, uniform
 from plume.scenario import AS_MODELLED, BrokenFile, NoRelease, Scenario, WorldError, draw
@@ -359,11 +360,11 @@ def _asked_along(world: World, places: Array, times_s: Array) -> tuple[Array, Ar
             f"world {world.name} failed: {type(error).__name__}: {' '.join(str(error).split())[:200]} "
             f"({Path(where.filename).name}, line {where.lineno})"
         ) from error
-    sound = np.isfinite(winds).all(axis=1) & np.isfinite(gas) & (gas >= 0)
+    sound = (np.abs(winds) <= MOST).all(axis=1) & (gas >= 0) & (gas <= MOST)  # false of NaN, too
     if not sound.all():
         wrong = int(np.argmin(sound))
         raise WorldError(
             f"world {world.name} said gas {gas[wrong]:g} and wind {winds[wrong].tolist()}; wanted gas from "
-            "0, in g/m³, and finite numbers"
+            f"0 to {MOST:g} g/m³, and a wind of such numbers"
         )
     return gas, winds

@@ -199,6 +199,7 @@ def test_every_answer_has_the_same_bits_in_any_order_and_batch(tmp_path: Path, k
         ({"fps": "0"}, "fps is 0; wanted a number above 0"),
         ({"source_x": "1e999"}, "source_x is '1e999'; wanted a number"),
         ({"source_x": "5.6"}, r"source_x is 5.6; wanted -0.5 to 5.5, the space of .*m\.npy"),
+        ({"source_z": "3"}, "source_z is '3'; wanted it of GADEN's results only"),
         ({"wind": "north"}, "wind is 'north'; wanted a number"),
         ({"gas": "methane"}, "gas is 'methane'; wanted it of GADEN's results only: gain turns a movie into"),
         ({"source_y": ""}, r".*m\.npy does not say source_y; wanted source_y=…"),

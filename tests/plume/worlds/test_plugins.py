@@ -157,10 +157,11 @@ def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
         r"\(badworlds\.py, line 4\)$",
     ):
         World(draw(1), 1, name="broken").gas((1.0, 2.0), 0)
-    with pytest.raises(
-        WorldError, match=r"^world strange said gas -1 and wind \[0\.0, 0\.0\]; wanted gas from"
-    ):
-        World(draw(1), 1, name="strange").gas((1.0, 2.0), 0)
+    for name, gas in (("strange", "-1"), ("strange:gas=1e300", r"1e\+300")):  # a reading of that is infinite
+        with pytest.raises(
+            WorldError, match=rf"^world {name} said gas {gas} and wind \[0\.0, 0\.0\]; wanted gas from 0 to"
+        ):
+            World(draw(1), 1, name=name).gas((1.0, 2.0), 0)
     with pytest.raises(ValueError, match=r"^world gone of badworlds:gone does not load: AttributeError: "):
         named("gone")
     with pytest.raises(
