@@ -68,6 +68,8 @@ def of_file(name: str) -> Problem:
     kind = path.suffix.lower()
     if not os.path.lexists(name) and re.fullmatch(r"[^/.]*", name):
         raise ValueError(f"{name!r:.60} is no problem and no file{nearest(name, PROBLEMS, 'wanted')} {FORMS}")
+    if kind == ".kmz":
+        raise ValueError(f"{name}: a .kmz is a zip file; wanted the .kml in it")
     try:
         with open(path, "rb", opener=lambda file, flags: os.open(file, flags | os.O_NONBLOCK)) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):

@@ -318,3 +318,5 @@ def test_a_file_that_is_too_large_or_not_there_or_no_text_is_refused(tmp_path: P
         named(str(tmp_path / "zip.kml"))
     with pytest.raises(ValueError, match="No such file or directory"):
         named(str(tmp_path / "none.kml"))
+    with pytest.raises(ValueError, match=r"field\.kmz: a \.kmz is a zip file; wanted the \.kml in it"):
+        named(str(tmp_path / "field.kmz"))
