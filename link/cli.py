@@ -154,7 +154,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return "; did you mean 'fly'?" with the known name nearest to a wrong one; empty if none is near."""
     import difflib
 
-    near = difflib.get_close_matches(name, list(known), 1)
+    near = difflib.get_close_matches(name, list(known), 1, cutoff=0.51)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 

@@ -60,7 +60,7 @@ def dotted(fields: Fields) -> str:
 def nearest(name: Any, known: Iterable[Any], then: str) -> str:
     """Return what leads to the list of known names: "; wanted", after the one that is near, if any."""
     is_name = isinstance(name, str) and len(name) <= LONGEST
-    near = difflib.get_close_matches(name, map(str, known), 1) if is_name else []
+    near = difflib.get_close_matches(name, map(str, known), 1, cutoff=0.51) if is_name else []
     return f"; did you mean {near[0]!r}? {then.capitalize()}" if near else f"; {then}"
 
 

@@ -100,7 +100,7 @@ def test_the_names_are_the_planners_the_policies_that_ship_and_what_is_plugged_i
         ("clairvoyance", "; wanted infotaxis, "),
         ("", "; wanted infotaxis, "),
         ("theirs", "; wanted infotaxis, "),
-        ("hommer", "; did you mean 'homing'? Wanted infotaxis, "),
+        ("homming", "; did you mean 'homing'? Wanted infotaxis, "),
         ("Infotaxis", "; did you mean 'infotaxis'? Wanted infotaxis, "),
         ("ppo.onnx", "; did you mean 'ppo'? Wanted infotaxis, "),
     ],

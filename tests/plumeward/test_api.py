@@ -215,7 +215,7 @@ def test_policies_are_compared_in_several_worlds() -> None:
     "wrong",
     [
         {"policies": []},
-        {"policies": "hommer"},
+        {"policies": "homming"},
         {"scenarios": 0},
         {"workers": 0},
         {"world": []},
@@ -326,7 +326,7 @@ def test_problems_and_bundles_are_taken_by_their_paths(tmp_path: Path) -> None:
     assert [env.step(0)[3] for _ in range(3)] == [False, False, True]
 
 
-@pytest.mark.parametrize("policy", [None, 5, "hommer"], ids=str)
+@pytest.mark.parametrize("policy", [None, 5, "homming"], ids=str)
 def test_a_policy_that_is_none_is_named(policy: Any) -> None:
     line = f"^{re.escape(f'policy: {policy!r} is not allowed')}"
     with pytest.raises(ValueError, match=line):

@@ -197,8 +197,8 @@ WRONG = [
     ),
     (["fly", "wind-shift", "now"], "plumeward fly: error: 'now' is not expected here"),
     (
-        ["fly", "--policy", "hommer"],
-        "plumeward fly: error: --policy: 'hommer' is not allowed; did you mean 'homing'? Wanted infotaxis, ",
+        ["fly", "--policy", "homming"],
+        "plumeward fly: error: --policy: 'homming' is not allowed; did you mean 'homing'? Wanted infotaxis, ",
     ),
     (
         ["fly", "--policy", "missing.zip"],
@@ -211,8 +211,8 @@ WRONG = [
         "waypoints",
     ),
     (
-        ["fly", "hommer.yaml"],
-        "error: hommer.yaml:2: agent.policy: 'hommer' is not allowed; did you mean 'homing'? Wanted "
+        ["fly", "homming.yaml"],
+        "error: homming.yaml:2: agent.policy: 'homming' is not allowed; did you mean 'homing'? Wanted "
         "infotaxis, ",
     ),
     (
@@ -281,8 +281,8 @@ WRONG = [
     ),
     (["fly", "--headings", "5"], "plumeward fly: error: --headings: 5 is not allowed; wanted 4 or 8"),
     (
-        ["rollout", "--policy", "hommer"],
-        "plumeward rollout: error: --policy: 'hommer' is not allowed; did you mean 'homing'? Wanted ",
+        ["rollout", "--policy", "homming"],
+        "plumeward rollout: error: --policy: 'homming' is not allowed; did you mean 'homing'? Wanted ",
     ),
     (
         ["evaluate", "--policy", "homing,gredy"],
@@ -305,7 +305,7 @@ def test_what_is_wrong_is_one_line_before_anything_starts(
     line: str,
 ) -> None:
     (tmp_path / "empty.zip").write_bytes(b"")
-    (tmp_path / "hommer.yaml").write_text("seed: 3\nagent: {policy: hommer}\n")
+    (tmp_path / "homming.yaml").write_text("seed: 3\nagent: {policy: homming}\n")
     (tmp_path / "list.yaml").write_text("- 1\n")
     before = sorted(tmp_path.rglob("*"))
     monkeypatch.chdir(tmp_path)
@@ -321,10 +321,10 @@ def test_what_is_wrong_is_one_line_before_anything_starts(
 def test_a_flag_wins_over_the_policy_of_a_script_that_is_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "hommer.yaml").write_text("seed: 3\nagent: {policy: hommer, budget: 2}\n")
+    (tmp_path / "homming.yaml").write_text("seed: 3\nagent: {policy: homming, budget: 2}\n")
     monkeypatch.chdir(tmp_path)
     status, _, err = said(
-        capsys, monkeypatch, "fly", "hommer.yaml", "--policy", "random", "--speedup", "0", "--no-record"
+        capsys, monkeypatch, "fly", "homming.yaml", "--policy", "random", "--speedup", "0", "--no-record"
     )
     assert status == 0, err
 

@@ -140,8 +140,8 @@ MISTAKES = {
     "ceased, ",
     (
         "expect: [located, returned home]",
-        "expect: locate",
-    ): "15: expect: 'locate' is not allowed; did you mean 'located'? Wanted one of ceased",
+        "expect: lost",
+    ): "15: expect: 'lost' is not allowed; did you mean 'located'? Wanted one of ceased",
     ("seed: 7", "seed: 5.0"): "2: seed: 5.0 is not allowed; wanted a whole number from 0",
     ("seed: 7", "seed: yes"): "2: seed: 'yes' is not allowed; wanted a whole number from 0",
     ("seed: 7", "seed: true"): "2: seed: True is not allowed; wanted a whole number from 0",
