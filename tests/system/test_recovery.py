@@ -277,9 +277,12 @@ def check_from_the_end(router: str, policy: str = "infotaxis", budget: int = BUD
 
 
 def parts(router: str, speedup: int) -> dict[str, tuple[str, ...]]:
-    """The services of the mission as commands."""
+    """The services of the mission as commands; the vehicle waits longer than a busy machine needs to start
+    them anew.
+    """
+    flags = ("--seed", str(SEED), "--speedup", str(speedup), "--silence", "600")
     return {
-        "uav": ("sitl", "uav", "-e", router, "--seed", str(SEED), "--speedup", str(speedup)),
+        "uav": ("sitl", "uav", "-e", router, *flags),
         "estimator": ("estimator", "-e", router, *ESTIMATOR),
         "agent": ("agent", "-e", router, *AGENT),
     }
