@@ -5,7 +5,22 @@ import shutil
 from collections.abc import Iterator
 from typing import Any
 
+UNWANTED = (
+    "WebUIOmniboxPopup",
+    "WebUIOmniboxAimPopup",
+    "HttpsUpgrades",
+    "HttpsFirstBalancedModeAutoEnable",
+    "LensOverlay",
+    "MediaRouter",
+    "NetworkTimeServiceQuerying",
+    "OptimizationHints",
+    "PaintHolding",
+)
+"""Features that are switched off. The first two load two pages of the browser's own beside each window, at
+twice the cost of ours. The others Playwright switches off, too, but the last such flag replaces its own.
+"""
 FLAGS = (
+    f"--disable-features={','.join(UNWANTED)}",
     "--no-sandbox",
     "--disable-gpu",
     "--disable-quic",
