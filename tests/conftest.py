@@ -12,7 +12,7 @@ from hypothesis import settings
 
 from link.bus.opening import open_router
 from tests.kernels import compile_kernels
-from tests.workers import Units, rank
+from tests.workers import Units, mark_rows, rank
 
 # The same examples on every run, and no time limit per example: the machine may be busy.
 settings.register_profile("plumeward", derandomize=True, deadline=None)
@@ -37,12 +37,15 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Spare `make test-all` the files that it runs no test of: each process would import them."""
-    if config.option.markexpr == "full" and collection_path.name.startswith("test_"):
-        return "mark.full" not in collection_path.read_text() or None
+    if config.option.markexpr == "full" and collection_path.match("test_*.py"):
+        text = collection_path.read_text()
+        return not ("mark.full" in text or "mark.one_in" in text) or None
     return None
 
 
+@pytest.hookimpl(tryfirst=True)  # before `-m` looks at the marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    mark_rows(items)
     items.sort(key=lambda item: rank(item.nodeid))
 
 

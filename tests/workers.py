@@ -1,8 +1,12 @@
-"""Hands tests to the processes of pytest-xdist: the longest first, and what shares a costly fixture to one process."""
+"""Which rows of a test `make test` runs, and which process of pytest-xdist runs what: the longest tests first, and what
+shares a costly fixture in one process.
+"""
 
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
+import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 ROOT = Path(__file__).parents[1]
@@ -28,6 +32,17 @@ def rank(node: str) -> int:
     return next(
         (place for place, path in enumerate(LONGEST + LONG) if node.startswith(path)), len(LONGEST + LONG)
     )
+
+
+def mark_rows(items: list[pytest.Item]) -> None:
+    """Mark the rows of a test `one_in(n)` that are left to `make test-all`: all but the first and each n-th after it."""
+    seen: Counter[str] = Counter()
+    for item in items:
+        if mark := item.get_closest_marker("one_in"):
+            test = item.nodeid.partition("[")[0]
+            if seen[test] % mark.args[0]:
+                item.add_marker(pytest.mark.full)
+            seen[test] += 1
 
 
 ONE_BY_ONE = ("tests/system/test_ray.py",)

@@ -137,6 +137,7 @@ def direction(frame: np.ndarray, angle: float) -> np.ndarray:
     return math.cos(angle) * ahead + math.sin(angle) * frame[2] * left
 
 
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize("schema", SCHEMAS)
 @pytest.mark.parametrize(
     "move", [Headings(4), Headings(16, 0.5), HeadingAndStep(), HeadingAndStep(2.0)], ids=repr
@@ -195,6 +196,7 @@ def test_a_bundle_that_cannot_be_written_leaves_the_one_before(tmp_path: Path) -
     assert (tmp_path / "a.zip").read_bytes() == before
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.slow
 @pytest.mark.parametrize("kinds", [("ReLU",), ("Tanh", "Tanh"), ("ReLU", "Tanh", "Tanh")], ids=" ".join)
 @pytest.mark.parametrize("squashed", [False, True])

@@ -23,6 +23,7 @@ print(*(set(sys.modules) - before))
 """
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", ["ppo", "ddpg", "homing", "random"])
 def test_a_decision_loads_nothing(name: str) -> None:
     command = [sys.executable, "-c", FIRST_DECISION, name]

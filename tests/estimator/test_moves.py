@@ -94,6 +94,7 @@ def agree(particles: Array, mean: Array, std: Array, errors: float = 4.0) -> Non
     assert np.all(np.abs(particles.std(axis=1) - std) < errors * std * 2 / math.sqrt(2 * count))
 
 
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize("sweeps", [1, 3])  # the first does not depend on where the particles are
 @pytest.mark.parametrize("shares", [WHOLE, (1.0, 1.0, 0.4), (0.3, 1.0, 0.6)], ids=str)
 def test_moves_leave_the_posterior_given_all_readings_invariant(shares: Shares, sweeps: int) -> None:
@@ -114,6 +115,7 @@ def test_moves_leave_the_posterior_given_all_readings_invariant(shares: Shares, 
 RATES: list[Prior] = [Normal(250.0, 80.0), Gamma(2.0, 150.0), Uniform(100.0, 500.0), LogNormal(250.0, 0.5)]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("prior", RATES, ids=lambda prior: type(prior).__name__)
 def test_moves_leave_a_posterior_with_an_unknown_rate_invariant(prior: Prior) -> None:
     """x fixed, y and q unknown: the exact posterior on a grid of y and q."""

@@ -151,6 +151,7 @@ def test_the_belief_with_a_spike_in_it_is_the_exact_posterior() -> None:
 SIZES = (0.5, 2.0, 8.0, 50.0, 1000.0, -8.0)
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("step", [0, 6, 14], ids=["at-the-start", "in-clean-air", "later"])
 def test_a_mission_with_a_false_reading_ceases_at_the_source(
@@ -172,6 +173,7 @@ def test_other_sensors_may_spike_too(sensor: Sensor, monkeypatch: pytest.MonkeyP
     assert math.dist(last.belief.mean, flown.scenario.source) <= 1.0
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("sensor", [GAUSSIAN, Gaussian(cv=1.0), Threshold(), Hits()], ids=text)
 def test_ranks_of_readings_are_uniform_if_their_share_of_spikes_is_as_assumed(sensor: Sensor) -> None:
     known = {

@@ -16,7 +16,7 @@ from tests.fuzz.decoders import DECODERS, Decoder
 from tests.fuzz.mutants import EDIT, edited
 from tests.fuzz.services import QUIET
 
-FEW, MANY = 100, 2000
+FEW, MANY = 50, 2000
 """Mutants for each decoder in `make test`, and in `make test-all`."""
 SEED = 7
 LONGEST_S = 5.0

@@ -56,6 +56,7 @@ COMMANDS = [
 ]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "named"), COMMANDS, ids=lambda value: " ".join(value))
 def test_bad_input_is_one_clear_line_and_status_2(arguments: list[str], named: list[str]) -> None:

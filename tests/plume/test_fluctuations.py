@@ -106,6 +106,7 @@ def around(wind: tuple[float, float]) -> Array:
     return np.array([SOURCE + r * np.array(way) for way in ways for r in (0.3, 1.0, 3.0, 8.0, 20.0)])
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("wind", [(0.0, 0.0), (1.8, 0.9), (-4.0, 3.0)], ids=["calm", "breeze", "wind"])
 @pytest.mark.parametrize("share", [0.05, 0.2, 0.5, 1.0])
 def test_the_square_is_campbells_integral(share: float, wind: tuple[float, float]) -> None:
@@ -161,6 +162,7 @@ def test_along_a_ray_it_is_that_of_the_place_nearest_to_the_source() -> None:
         assert found == pytest.approx(squares(SOURCE[None] + np.array(closest), puff_rate=1e4), rel=1e-12)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.slow
 @pytest.mark.parametrize(("share", "rate"), [(0.5, 10.0), (0.2, 40.0)])
 def test_simulated_puffs_fluctuate_as_strongly(share: float, rate: float) -> None:

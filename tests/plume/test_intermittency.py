@@ -85,6 +85,7 @@ def cases(cv: float) -> np.ndarray:
     return np.array(rows).T
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("cv", CVS)
 def test_the_compiled_density_is_the_integral_over_the_gas(cv: float) -> None:
     gas, mean, std, cvs = cases(cv)
@@ -206,6 +207,7 @@ def test_the_probability_to_exceed_keeps_the_digits_of_small_ones() -> None:
     assert above == pytest.approx(stats.norm.sf(5.0), rel=1e-6)
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("mean", [0.0, 0.5, 8.0])
 @pytest.mark.parametrize("cv", [0.3, 1.0, 2.5])
 def test_readings_follow_the_density(cv: float, mean: float) -> None:

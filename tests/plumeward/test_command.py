@@ -47,6 +47,7 @@ def test_the_help_lists_every_command_in_a_group_within_80_columns(
     assert said(capsys, monkeypatch, "--version") == (0, f"plumeward {__version__}\n", "")
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["", *COMMANDS])
 def test_help_loads_nothing_that_takes_long(tmp_path: Path, command: str) -> None:

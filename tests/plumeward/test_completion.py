@@ -34,6 +34,7 @@ def completed(line: str, cwd: Path) -> set[str]:
         return {word.strip() for word in offered.read().splitlines()}
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(
     ("line", "offered"),
     [

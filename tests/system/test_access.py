@@ -123,6 +123,7 @@ def test_another_vehicle_joins_with_its_own_certificates(tmp_path: Path, folder:
     assert json.loads(flown.stdout.splitlines()[-1])["steps"] == 8
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("command", ["fly", "uav", "status", "record", "bridge", "view", "router"])
 def test_a_missing_certificate_is_one_line(tmp_path: Path, command: str) -> None:
     words = {"record": ["bus.mcap"], "bridge": ["udpin:127.0.0.1:1"], "view": ["--port", "0"]}.get(

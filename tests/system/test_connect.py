@@ -140,6 +140,7 @@ def test_a_second_vehicle_in_the_same_namespace_is_refused(
         assert flight.err[-1] == "error: another uav is already on uav/1\n"
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("services", "flying", "line"),
     [

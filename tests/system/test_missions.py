@@ -312,6 +312,7 @@ def test_the_wind_of_a_script_is_the_measured_one_and_the_true_one_stays_as_wron
     assert measured[-1] == pytest.approx((3 * math.cos(1), 3 * math.sin(1)), rel=1e-6)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("script", "told"),
     [

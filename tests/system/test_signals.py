@@ -24,6 +24,7 @@ def has_ended(pid: int) -> bool:
         return True
 
 
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize("part", ["uav", "estimator", "agent", "payload", "bridge", "record"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_part_on_a_quiet_bus_ends_on_one_signal(

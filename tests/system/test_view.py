@@ -434,6 +434,7 @@ def test_a_word_in_the_arguments_is_refused_with_what_to_use_and_not_repeated(st
     assert "secret-word" not in line
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("flags", "told"),
     [

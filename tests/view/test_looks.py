@@ -32,6 +32,7 @@ def address(request: pytest.FixtureRequest) -> Iterator[str]:
         yield served
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize(
     ("name", "address"), [(name, name) for name in NAMES], indirect=["address"], ids=NAMES

@@ -65,6 +65,7 @@ def test_gymnasiums_checker_finds_nothing(name: str, observation: str) -> None:
         check_env(make(name, observation=observation), skip_render_check=True)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.slow
 @pytest.mark.parametrize("observation", SCHEMAS)
 @pytest.mark.parametrize("name", IDS)
@@ -265,6 +266,7 @@ def plain(values: Any, where: Any = slice(None)) -> Any:
     ]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("observation", SCHEMAS)
 @pytest.mark.parametrize("name", IDS)
 def test_many_at_once_are_what_gymnasium_makes_of_single_ones(

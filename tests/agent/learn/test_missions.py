@@ -152,6 +152,7 @@ def alone(request: pytest.FixtureRequest) -> tuple[str, dict[int, list[list[byte
     return request.param, trace
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("seeds", "threads"),
     [(SEEDS, 1), (SEEDS, 2), (SEEDS, 3), (SEEDS[::-1], 1), (SEEDS[2:5], 2), (SEEDS[6:7], 1), (SEEDS[7:], 3)],
@@ -176,6 +177,7 @@ def test_with_few_and_many_particles_too(particles: int) -> None:
             single.move()
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("schema", SCHEMAS)
 @pytest.mark.parametrize(
     ("assume", "within"), [("paper", (1.5, 0.9)), ("field", None), ("field", (4.0, 0.8))]

@@ -151,6 +151,7 @@ def test_the_same_seed_gives_the_same_curve_and_bundle_whatever_the_threads(
     assert [point.steps for point in once.curve] == sorted({point.steps for point in once.curve})
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_another_seed_gives_another_policy(
     tmp_path: Path, whole: Callable[[str], Trained], algorithm: str
@@ -160,6 +161,7 @@ def test_another_seed_gives_another_policy(
     assert read(other.folder / "policy.zip")[1] != read(once.folder / "policy.zip")[1]
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("places", [(60,), (160, 320), (250,)], ids=str)
 def test_a_run_that_is_cut_off_comes_to_the_same_end(
@@ -275,6 +277,7 @@ def wait_until_the_next_second(wait_until: Callable[..., None]) -> None:
     wait_until(lambda: int(time.time()) > began)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_tensorboard_holds_the_curve_once_even_of_a_run_that_was_cut_off(
     tmp_path: Path, wait_until: Callable[..., None], algorithm: str

@@ -324,6 +324,7 @@ def test_every_planner_has_an_oracle_but_the_one_that_has_no_formula() -> None:
     assert set(PLANNERS) - set(ORACLES) == {"random"}
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("sensor", [GAUSSIAN, Threshold(1.0, 0.2), Hits(0.5, 0.3)], ids=text)
 @pytest.mark.parametrize("name", ORACLES)
 def test_a_planner_chooses_what_its_formula_finds_best(name: str, sensor: Sensor) -> None:

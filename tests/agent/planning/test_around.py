@@ -141,6 +141,7 @@ def test_an_environment_turns_actions_aside(continuous: bool) -> None:
             _, info = env.reset()
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("policy", ["random", "ppo", "homing", "dcee", "thompson", "space-aware-infotaxis"])
 def test_a_search_does_not_enter_an_obstacle(policy: str) -> None:
     for vehicles in (1, 2):

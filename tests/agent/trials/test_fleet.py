@@ -206,6 +206,7 @@ def test_the_command_flies_a_fleet() -> None:
     assert [tuple(point["position"]) for point in said["trace"]] == [point.position for point in trace]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     "flags", ["--vehicles 0", "--vehicles 9", "--from nowhere", "--vehicles 8 --from edge --separation 4"]
 )

@@ -54,6 +54,7 @@ def test_in_every_world_the_estimator_is_told_the_same_and_the_mission_is_judged
     assert result.error_m == pytest.approx(math.dist(trace[-1].mean, there.truth.source))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.slow
 @pytest.mark.parametrize("assume", ["paper", "field"])
 @pytest.mark.parametrize("kind", KINDS)
@@ -179,6 +180,7 @@ def test_infotaxis_finds_the_source_and_its_stop_can_be_believed() -> None:
     assert sum(result.distance_m for result in results) / 60 < 70
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "module",

@@ -561,6 +561,7 @@ SEVERAL = (
 )
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     "knowledge", [{}, {"assume": "field", "stop_limits": {"q": 400.0}}], ids=["paper", "field"]
 )

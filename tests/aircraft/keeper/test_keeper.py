@@ -134,6 +134,7 @@ def returning(kept: Kept) -> None:
 IN_FLIGHT = (taking_off, on_the_way, measuring)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("phase", IN_FLIGHT)
 def test_a_vehicle_whose_uav_hangs_in_flight_is_sent_home(kind: str, phase: Callable[[Kept], None]) -> None:
@@ -149,6 +150,7 @@ def test_a_vehicle_whose_uav_hangs_in_flight_is_sent_home(kind: str, phase: Call
     assert kept.radio.told[1] == f"The vehicle is left in {'RTL' if kind == 'ardupilot' else 'RETURN'}"
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("phase", IN_FLIGHT)
 def test_a_vehicle_whose_uav_is_killed_in_flight_is_sent_home_at_once(

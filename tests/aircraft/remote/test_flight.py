@@ -166,6 +166,7 @@ def test_someone_on_the_bus_may_pause_and_resume(kind: str) -> None:
     cockpit.reads(count + 2)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("faults", [("drop:5",), ("progress",), ("busy:9",), ("drop:5", "progress")])
 @both
 def test_lost_frames_and_slow_answers_need_nothing_but_patience(kind: str, faults: tuple[str, ...]) -> None:

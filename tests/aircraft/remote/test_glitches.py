@@ -264,6 +264,7 @@ def test_a_position_that_has_stayed_shifted_is_told_for_the_rest_and_the_places_
     assert "may be 3" in cockpit.vehicle.caveat
 
 
+@pytest.mark.one_in(3)
 @both
 @pytest.mark.parametrize(
     "faults", [("drop:20",), ("mute@#3:1",), ("mute@#4:1", "drop:20"), ("silence@#3:1.5",)], ids=str

@@ -29,6 +29,7 @@ ALIKE = (
 )
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("test", ALIKE, ids=lambda test: test.__name__.removeprefix("test_"))
 def test_as_on_the_doubles(test: Callable[[str], None]) -> None:
     test("plumeward")

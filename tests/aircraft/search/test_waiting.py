@@ -119,6 +119,7 @@ def test_a_payload_without_a_value_is_asked_again_and_nothing_takes_off(kind: st
     assert not bus.readings
 
 
+@pytest.mark.one_in(3)
 @both
 @pytest.mark.parametrize(
     ("gas", "lacks"),

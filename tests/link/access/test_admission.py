@@ -165,6 +165,7 @@ def test_the_table_of_this_test_has_every_key() -> None:
     assert all(key.writers for key in KEYS)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("key", TABLED)
 def test_only_the_roles_of_the_table_publish_a_key(
     clients: Clients, key: str, wait_until: Callable[..., None]
@@ -177,6 +178,7 @@ def test_only_the_roles_of_the_table_publish_a_key(
     assert {text for _, text in clients.heard} == allowed
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("key", TABLED)
 def test_only_the_roles_of_the_table_receive_a_key(
     clients: Clients, key: str, wait_until: Callable[..., None]
@@ -219,6 +221,7 @@ def entitled(roles: Iterable[str], key: str) -> set[str]:
     return {in_a_search(role, vehicle) for role in roles for vehicle in vehicles}
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("key", TABLED)
 def test_in_a_search_a_vehicle_speaks_for_itself_alone(
     searchers: Clients, key: str, wait_until: Callable[..., None]
@@ -232,6 +235,7 @@ def test_in_a_search_a_vehicle_speaks_for_itself_alone(
         assert not [name for name in allowed if "uav/2" in name]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("key", TABLED)
 def test_in_a_search_only_the_roles_of_the_table_receive_a_key(
     searchers: Clients, key: str, wait_until: Callable[..., None]

@@ -123,6 +123,7 @@ def test_a_reading_is_of_the_true_gas_with_the_true_noise_of_its_step(name: str)
         assert world.gas(place, 4) == pytest.approx(mean + noise, rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("name", "gain", "noise", "cv"),
     [
@@ -316,6 +317,7 @@ def test_spikes_are_among_the_first_30_readings_and_log_uniform_from_a_half_to_1
     assert abs(np.corrcoef(numbers, sizes)[0, 1]) < 5 / math.sqrt(len(sizes))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("sensor", [GAUSSIAN, Threshold(1.1), Hits()])
 def test_a_spike_is_added_to_its_reading_alone_and_shows_only_what_its_kind_can_say(sensor: Sensor) -> None:
     for seed in range(300):

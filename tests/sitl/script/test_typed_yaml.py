@@ -77,6 +77,7 @@ def test_a_file_of_the_greatest_size_is_read(tmp_path: Path) -> None:
         load(path)
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.slow
 @pytest.mark.parametrize("opening", ["[", "{", "- ", "? "])
 def test_a_nest_without_a_bottom_is_refused(tmp_path: Path, opening: str) -> None:
