@@ -74,9 +74,11 @@ def of_file(name: str) -> Problem:
         with open(path, "rb", opener=lambda file, flags: os.open(file, flags | os.O_NONBLOCK)) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise ValueError(f"{name}: a pipe or a device is not allowed; wanted a file")
-            content = file.read((fences.MOST_BYTES if kind in fences.READERS else MOST_BYTES) + 1)
+            content = file.read(fences.MOST_BYTES + 1)
     except OSError as error:
         raise ValueError(f"{name}: {error.strerror}; wanted {FORMS}") from None
+    if kind == ".json" and b'"FeatureCollection"' in content:
+        kind = ".geojson"
     if kind in fences.READERS:
         try:
             return named(fences.problem_of(content, kind))

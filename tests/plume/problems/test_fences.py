@@ -80,7 +80,8 @@ def of(folder: Path, name: str, text: str) -> Problem:
 
 
 @pytest.mark.parametrize(
-    ("name", "text"), [("yard.kml", kml()), ("yard.geojson", geojson()), ("yard.PLAN", plan())]
+    ("name", "text"),
+    [("yard.kml", kml()), ("yard.geojson", geojson()), ("yard.json", geojson()), ("yard.PLAN", plan())],
 )
 def test_a_fence_is_in_metres_from_its_home(name: str, text: str, tmp_path: Path) -> None:
     problem = of(tmp_path, name, text)
