@@ -1,5 +1,6 @@
 """What every reader of recorded plumes gives: facts about the file, and its gas and wind at places in it."""
 
+import stat
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -102,8 +103,11 @@ def blend(one: Array, other: Array, share: Array) -> Array:
 def content_of(path: Path, most: int = MOST_BYTES) -> bytes:
     """Return the content of a file of at most so many bytes. Raises ValueError."""
     try:
-        if (size := path.stat().st_size) > most:
-            raise ValueError(f"{path}: {size:,} bytes; wanted at most {most:,}")
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):  # a pipe would be waited for, and a device might never end
+            raise ValueError(f"{path}: not a file; wanted one")
+        if found.st_size > most:
+            raise ValueError(f"{path}: {found.st_size:,} bytes; wanted at most {most:,}")
         return path.read_bytes()
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror}") from None

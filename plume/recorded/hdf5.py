@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from ruamel.yaml import YAML
 
-from plume.recorded.footage import MOST_BYTES, one_line
+from plume.recorded.footage import MOST_BYTES, content_of, one_line
 from plume.recorded.movies import Movie, PixelGrid, Pixels, checked
 
 SIDECAR = ".plume-movie.yaml"
@@ -126,11 +126,10 @@ def _with_sidecar(path: Path) -> Movie:
 
 def told(path: Path) -> MovieSidecar:
     """Return what a sidecar says. Raises ValueError."""
-    if path.stat().st_size > LONGEST:
-        raise ValueError(f"{path}: {path.stat().st_size:,} bytes; wanted at most {LONGEST:,}")
+    content = content_of(path, LONGEST)
     try:
         with warnings.catch_warnings(action="ignore"):  # of anchors that are defined twice
-            value = YAML(typ="safe", pure=True).load(path.read_bytes())
+            value = YAML(typ="safe", pure=True).load(content)
     except Exception as error:  # ruamel raises many kinds
         raise ValueError(f"{path}: not valid YAML: {one_line(error)}") from None
     try:

@@ -1,6 +1,7 @@
 """Protects those who have a movie that is wrong or cut off: it is refused in one line that says what is wrong."""
 
 import json
+import os
 import struct
 import sys
 from pathlib import Path
@@ -249,3 +250,28 @@ def test_json_that_is_none(tmp_path: Path) -> None:
     assert refused(folder) == "/.zattrs: 2,000,002 bytes; wanted at most 1,048,576"
     (folder / ".zattrs").unlink()
     assert refused(folder) == "/.zattrs: No such file or directory"
+
+
+@pytest.mark.parametrize("name", [".zattrs", "concentration/.zarray", "concentration/0.0.0"])
+def test_what_is_no_file_in_a_folder_of_zarr_is_refused_and_not_waited_for(tmp_path: Path, name: str) -> None:
+    path = writers.zarr(tmp_path / "m.zarr", FRAMES) / name
+    path.unlink()
+    os.mkfifo(path)
+    assert refused(tmp_path / "m.zarr") == f"/{name}: not a file; wanted one"
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    assert refused(tmp_path / "m.zarr") == f"/{name}: not a file; wanted one"
+
+
+def test_a_chunk_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
+    path = writers.zarr(tmp_path / "m.zarr", FRAMES) / "concentration" / "0.0.0"
+    path.unlink()
+    path.symlink_to(path.name)
+    assert refused(tmp_path / "m.zarr") == "/concentration/0.0.0: Too many levels of symbolic links"
+
+
+def test_a_pipe_in_the_place_of_a_sidecar_is_not_waited_for(tmp_path: Path) -> None:
+    path = writers.with_sidecar(tmp_path / "m.h5", FRAMES)
+    (tmp_path / "m.h5.plume-movie.yaml").unlink()
+    os.mkfifo(tmp_path / "m.h5.plume-movie.yaml")
+    assert refused(path) == ".plume-movie.yaml: not a file; wanted one"
