@@ -5,7 +5,7 @@ import contextlib
 import math
 
 from aircraft.payload import service
-from aircraft.payload.drivers import SENSOR_ERROR, Driven, Measure, make, said
+from aircraft.payload.drivers import SENSOR_ERROR, Driven, Measure, opened
 from aircraft.payload.messages import Question, Sample
 from aircraft.payload.options import SIMULATED, add_payload_argument
 from aircraft.payload.simulated import Simulated
@@ -57,13 +57,9 @@ def run(args: argparse.Namespace, world: World) -> int:
         measure: Measure = sensor_in(world.of_vehicle(args.number or 1), bus.log)
         if args.payload != SIMULATED:
             try:
-                driver = make(args.payload, bus.log)
-                driver.open()
+                measure = driven = Driven(opened(args.payload, bus.log), bus.log)
             except ValueError as error:
                 raise cli.BadInput(f"--payload: {error}") from None
-            except Exception as error:  # a plug-in may be anybody's code
-                raise cli.BadInput(f"--payload: {args.payload}: {said(error)}") from None
-            measure = driven = Driven(driver, bus.log)
             stack.callback(driven.close)
         service.run(bus, service.Measuring(measure, inbox))
     return 0

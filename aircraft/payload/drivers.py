@@ -1,6 +1,7 @@
 """Drivers of real gas sensors: what one has to do, those that ship, and what other packages plug in."""
 
 import math
+import threading
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from typing import Protocol
@@ -40,7 +41,7 @@ class Driver(Protocol):
         """
 
     def close(self) -> None:
-        """End; called once, perhaps while `read` waits."""
+        """End; called once, perhaps while `read` waits. It may take TIMEOUT_S."""
 
 
 def make(text: str, log: Log) -> Driver:
@@ -59,7 +60,7 @@ def make(text: str, log: Log) -> Driver:
         )
     try:
         driver: Driver = plugins[0].load()(rest)
-    except Exception as error:  # it may be anybody's code
+    except (Exception, SystemExit) as error:  # it may be anybody's code
         raise ValueError(f"{text}: {plugins[0].value} cannot be used: {said(error)}") from error
     if missing := [
         method for method in ("open", "read", "close") if not callable(getattr(driver, method, None))
@@ -71,9 +72,22 @@ def make(text: str, log: Log) -> Driver:
     return driver
 
 
+def opened(text: str, log: Log) -> Driver:
+    """Return the driver that a text names, open. Raises ValueError, with what is wrong."""
+    driver = make(text, log)
+    try:
+        driver.open()
+    except (Exception, SystemExit) as error:  # it may be anybody's code
+        raise ValueError(f"{text}: {said(error)}") from error
+    return driver
+
+
 def said(error: BaseException) -> str:
     """Return an exception in one short line."""
-    text = " ".join(str(error).split())
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # its words are anybody's code, too
+        text = ""
     return f"{type(error).__name__}: {text[:200]}".removesuffix(": ")
 
 
@@ -91,16 +105,21 @@ class Driven:
         return Sample(question.time_boot_ms, self._value(), None)
 
     def close(self) -> None:
-        """End the driver."""
+        """End the driver; one that hangs is left."""
+        closing = threading.Thread(target=self._close, name="closing", daemon=True)
+        closing.start()
+        closing.join(TIMEOUT_S)
+
+    def _close(self) -> None:
         try:
             self._driver.close()
-        except Exception as error:  # it may be anybody's code
+        except BaseException as error:  # it may be anybody's code, and no signal is raised in this thread
             self._without_value(said(error))
 
     def _value(self) -> float:
         try:
             value = float(self._driver.read(TIMEOUT_S))
-        except (Exception, SystemExit) as error:  # it may be anybody's code
+        except BaseException as error:  # it may be anybody's code, and no signal is raised in this thread
             return self._without_value(said(error))
         return (
             self._without_value(f"{value} is no value; wanted a finite number, or NaN for none")

@@ -5,12 +5,13 @@ value or NaN.
 import math
 import re
 import textwrap
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from aircraft.payload.drivers import SENSOR_ERROR, TIMEOUT_S, Driven, make
+from aircraft.payload.drivers import SENSOR_ERROR, TIMEOUT_S, Driven, make, opened
 from aircraft.payload.messages import Question, Sample
 from aircraft.payload.options import check, kinds
 from link.bus.log import Log
@@ -92,8 +93,7 @@ def test_a_plug_in_is_found_by_its_name_and_gets_the_text_behind_the_colon(plug:
     check("sniffer")
     check("sniffer:1.5")
     assert "sniffer" in kinds()
-    driver = make("sniffer:1.5", log)
-    driver.open()
+    driver = opened("sniffer:1.5", log)
     assert driver.read(2.0) == 3.5
     with pytest.raises(
         ValueError, match=re.escape("did you mean 'sniffer'? Wanted simulated, serial:PATH[:BAUD] or sniffer")
@@ -106,18 +106,30 @@ def test_a_plug_in_that_cannot_be_used_is_refused_with_the_reason(plug: Plug, lo
         def broken(text):
             raise OSError("no such bus")
 
+        def leaves(text):
+            raise SystemExit(0)
+
         class Half:
             def __init__(self, text): ...
             def open(self): ...
     """
-    module = plug(source, "broken=broken", "missing=nothing", "half=Half")
+    module = plug(source, "broken=broken", "leaves=leaves", "missing=nothing", "half=Half")
     for name, reason in {
         "broken": f"broken: {module}:broken cannot be used: OSError: no such bus",
+        "leaves": f"leaves: {module}:leaves cannot be used: SystemExit: 0",
         "missing": f"missing: {module}:nothing cannot be used: AttributeError: ",
         "half": f"half: {module}:Half has no read or close; wanted open(), read(timeout_s) and close()",
     }.items():
         with pytest.raises(ValueError, match=f"^{re.escape(reason)}"):
             make(name, log)
+
+
+@pytest.mark.parametrize("error", ["OSError('no such bus')", "SystemExit(0)"])
+def test_a_driver_that_does_not_open_is_refused_with_the_reason(plug: Plug, log: Log, error: str) -> None:
+    plug(SNIFFER.replace("self.value = float(self.text)", f"raise {error}"), "sniffer=Sniffer")
+    wanted = "sniffer: " + error.replace("(", ": ").replace("'", "").removesuffix(")")
+    with pytest.raises(ValueError, match=f"^{re.escape(wanted)}$"):
+        opened("sniffer", log)
 
 
 def test_a_name_that_is_plugged_in_twice_is_refused(plug: Plug, log: Log, tmp_path: Path) -> None:
@@ -128,6 +140,13 @@ def test_a_name_that_is_plugged_in_twice_is_refused(plug: Plug, log: Log, tmp_pa
     (other / "entry_points.txt").write_text(f"[plumeward.payloads]\nsniffer = {module}:Other\n")
     with pytest.raises(ValueError, match="sniffer is plugged in more than once, by "):
         make("sniffer", log)
+
+
+class Wordless(Exception):
+    """An error that fails to say what it is."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
 
 
 class Says:
@@ -164,7 +183,11 @@ def test_no_value_is_no_error(log: Log) -> None:
 
 @pytest.mark.parametrize(
     "said",
-    [OSError("unplugged"), ValueError("?"), SystemExit(3), None, "much", math.inf, -math.inf, 1e39, [1.0]],
+    [
+        *(OSError("unplugged"), ValueError("?"), SystemExit(3), KeyboardInterrupt(), Wordless()),
+        *(None, "much", math.inf, -math.inf, 1e39, [1.0]),
+    ],
+    ids=repr,
 )
 def test_whatever_else_a_driver_does_costs_the_value_and_is_counted(said: object, log: Log) -> None:
     driven = Driven(Says(said, 0.5), log)
@@ -176,6 +199,20 @@ def test_whatever_else_a_driver_does_costs_the_value_and_is_counted(said: object
 def test_an_error_while_it_closes_is_counted_and_ends_nothing_else(log: Log) -> None:
     Driven(Says(), log).close()
     assert log.tally.refused == {SENSOR_ERROR: 1}
+
+
+def test_a_driver_that_hangs_while_it_closes_is_left(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aircraft.payload.drivers.TIMEOUT_S", 0.01)
+    began, let_go = threading.Event(), threading.Event()
+
+    class Hangs(Says):
+        def close(self) -> None:
+            began.set()
+            let_go.wait()
+
+    Driven(Hangs(), log).close()
+    assert began.is_set()
+    let_go.set()
 
 
 def test_the_same_error_is_told_once_and_counted_each_time(capsys: pytest.CaptureFixture[str]) -> None:
