@@ -11,17 +11,18 @@ from pathlib import Path
 NOISE = 0.02  # standard deviation, g/m³
 LINE = Path("gas-sensor")
 
-signal.signal(signal.SIGINT, signal.default_int_handler)  # also where a shell began it in the background
+for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # also where a shell began it in the background
+    signal.signal(ending, signal.default_int_handler)
 ours, theirs = os.openpty()
 tty.setraw(theirs)
 LINE.unlink(missing_ok=True)
-LINE.symlink_to(os.ttyname(theirs))
 os.set_blocking(ours, False)
-print(f"a sensor in clean air at {LINE}", flush=True)
 try:
+    LINE.symlink_to(os.ttyname(theirs))
+    print(f"a sensor in clean air at {LINE}", flush=True)
     while True:
         with contextlib.suppress(BlockingIOError):  # nobody reads
             os.write(ours, f"{random.gauss(0.0, NOISE):.3f}\n".encode())
         time.sleep(0.2)
 except KeyboardInterrupt:
-    LINE.unlink()
+    LINE.unlink(missing_ok=True)

@@ -4,6 +4,9 @@ device that may go and come.
 
 import math
 import os
+import signal
+import subprocess
+import sys
 import threading
 import time
 import tty
@@ -18,6 +21,8 @@ from aircraft.bridge.address import Address
 from aircraft.payload.serial_sensor import LONGEST, NO_NUMBER, NumberLines, SerialSensor
 from link.bus.log import Log
 from link.bus.tally import Tally
+
+EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "fake_sensor.py"
 
 
 @pytest.fixture
@@ -227,3 +232,14 @@ def test_a_device_that_is_not_there_at_first_may_come_later(tmp_path: Path, log:
     finally:
         sensor.close()
         device.unplug()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_sensor_of_the_guide_takes_its_line_away_when_it_ends(number: int, tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, EXAMPLE], cwd=tmp_path, stdout=subprocess.PIPE) as sensor:
+        assert sensor.stdout is not None
+        sensor.stdout.readline()
+        assert (tmp_path / "gas-sensor").is_symlink()
+        sensor.send_signal(number)
+        assert sensor.wait(30) == 0
+    assert not list(tmp_path.iterdir())
