@@ -76,6 +76,15 @@ def test_a_fleet_of_which_one_left_is_said_to_have_read_as_often_as_it_has() -> 
     assert flight._replace(samples=both[::3]).read_text == "1 reading of each of 2 vehicles"
 
 
+def test_readings_that_are_all_the_same_are_not_said_to_hold_gas() -> None:
+    it = findings(RECORD)
+    same = [sample._replace(gas=0.0) for sample in it.flight.samples]
+    last = msgspec.structs.replace(it.last, ceased=False, spread=9.0, evidence=20.0, p_value=0.0)
+    said = verdict(it.flight._replace(samples=same, last=last), it.told)
+    assert "need no source" in said.sentence
+    assert "the sensor may be stuck" in said.sentence
+
+
 def test_not_found_in_a_record_that_is_cut_off_says_what_that_means() -> None:
     said = judged(remark="is cut off", ceased=False, spread=4.0)
     assert said.kind == NOT_FOUND
