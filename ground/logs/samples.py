@@ -261,7 +261,9 @@ class _Reader:
             )
         if self._repeated:
             self.notes.append(
-                f"{self._repeated:,} rows that repeat the row before but for the time count once"
+                "1 row that repeats the row before but for the time counts once"
+                if self._repeated == 1
+                else f"{self._repeated:,} rows that repeat the row before but for the time count once"
             )
         columns = dict(zip(("time", *QUANTITIES), np.array(self._means).T, strict=True))
         return Samples(

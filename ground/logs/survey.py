@@ -147,8 +147,10 @@ def _gas(
     if ray_m is None:
         rays = took.path_m[took.path_m > 0.0]
         if not len(rays):
+            no_path = "no column says how long the path is"
+            lacks = f"{used['path'].name} is above 0 in no row" if "path" in used else no_path
             raise BadInput(
-                f"{path}: {used['gas'].name} is in {unit.name} and no column says how long the path is; "
+                f"{path}: {used['gas'].name} is in {unit.name} and {lacks}; "
                 "give --ray M, the height of the sensor above the ground"
             )
         ray_m = float(np.median(rays))
@@ -248,7 +250,7 @@ def _note_on_rows(path: Path, took: Samples) -> str:
     zone = "UTC" if took.has_zone else "(no time zone given, taken as UTC)"
     began = f" from {_clock_text(took)} {zone}" if took.is_dated else ""
     long_s = float(took.times_s[-1] - took.times_s[0])
-    return f"{path.name}: {took.rows:,} rows, {took.used:,} used, in {long_s:,.1f} s{began}"
+    return f"{path.name}: {counted(took.rows, 'row')}, {took.used:,} used, in {long_s:,.1f} s{began}"
 
 
 def _clock_text(took: Samples) -> str:

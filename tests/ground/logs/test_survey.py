@@ -55,6 +55,12 @@ def refused(path: Path, **chosen) -> str:
 # ---- what is read ----
 
 
+def test_one_row_is_told_as_one(tmp_path: Path) -> None:
+    notes = read(written(tmp_path, [ROWS[0], ROWS[0].replace(":00,", ":01,")])).notes
+    assert "1 row that repeats the row before but for the time counts once" in notes
+    assert "flight.csv: 1 row, 1 used" in read(written(tmp_path, ROWS[:1])).notes[0]
+
+
 def test_a_table_gives_the_readings_that_one_works_out_by_hand(tmp_path: Path) -> None:
     flight = read(written(tmp_path))
     said = readings(flight)
@@ -117,6 +123,9 @@ def test_gas_along_a_path_keeps_its_path(tmp_path: Path) -> None:
     assert flight.sensed
     assert flight.sensed.ray_m == 7.5
     assert "no column says how long the path is; give --ray M" in refused(log, columns=columns, wind=CALM)
+    empty = written(tmp_path, (f"{n},51.5,9.25,60,0" for n in range(3)), "t,lat,lon,gas,down", "empty.csv")
+    said = refused(empty, columns=f"{columns},path=down", wind=CALM)
+    assert "gas is in ppm*m and down is above 0 in no row; give --ray M" in said
     assert "--ray: not allowed with gas in g/m3" in refused(log, columns=PLAIN, wind=CALM, ray_m=5.0)
 
 
