@@ -23,6 +23,7 @@ from link.bus.session import Arrival, Bus, LivelinessChange, part_of
 from plume.problems.fleet import Place
 
 OVERDUE_S = 20.0  # real time for which a round waits for a vehicle: the others hover meanwhile
+PAYLOAD = "payload/"  # and a vehicle's number: its gas sensor, if it is a real one
 AWAY = ("returning", "landed")  # states of a vehicle that reads no more
 # How often it is looked who is missing; and real time after the start in which nobody leaves: what a vehicle
 # has read before an estimator began comes within it.
@@ -40,6 +41,7 @@ class Attendance:
     overdue_s: float  # 0: nobody ever leaves
     present: set[int] = field(default_factory=set)  # vehicles that have a liveliness token
     health: dict[int, Health] = field(default_factory=dict)  # the newest of each vehicle
+    sensors: dict[int, Health] = field(default_factory=dict)  # and of its payload, if it has one
     known: set[int] = field(default_factory=set)  # vehicles that have ever had a token
     _since_s: Mapping[int, float] = field(default_factory=dict)  # when each of the missing was missed first
 
@@ -76,8 +78,11 @@ class Attendance:
             return ""
         if vehicle not in self.present:
             return f"gone from the bus for {self.overdue_s:g} s"
-        held = "paused" if state == "paused" else "no reading"
-        return f"{held} for {self.overdue_s:g} s{words}"
+        if state == "paused":
+            return f"paused for {self.overdue_s:g} s{words}"
+        sensor = self.sensors.get(vehicle)
+        words = f": {sensor.warnings[0]}" if sensor and sensor.warnings else words
+        return f"no reading for {self.overdue_s:g} s{words}"
 
 
 class Roll:
@@ -138,10 +143,11 @@ class Roll:
                     if self._called[key](arrival):
                         return None
                 case Arrival(key) as arrival if key is HEALTH:
-                    if (vehicle := self._number(part_of(arrival.name))) and (
-                        health := self._bus.decode(arrival, Health)
-                    ):
-                        self._attendance.health[vehicle] = health
+                    name = part_of(arrival.name)
+                    vehicle = self._number(name.replace(PAYLOAD, OF_VEHICLE))
+                    if vehicle and (health := self._bus.decode(arrival, Health)):
+                        attendance = self._attendance
+                        (attendance.sensors if PAYLOAD in name else attendance.health)[vehicle] = health
                 case LivelinessChange(service, alive):
                     if vehicle := self._number(service):
                         self._attendance.lives(vehicle, alive)

@@ -28,7 +28,7 @@ from aircraft.search.events import (
     Wind,
 )
 from aircraft.search.sampling import Sampling
-from aircraft.search.search import PAUSED, SEARCHING, STANDBY, Search
+from aircraft.search.search import PAUSED, SEARCHING, STANDBY, TAKING_OFF, Search
 from aircraft.state import Arrived, Reached, TakenOver, VehicleFailed
 from aircraft.together import Joining, misfit
 from link.bus.backoff import Backoff
@@ -356,6 +356,8 @@ class Uav:
         self._tally.warnings = tuple(filter(None, (waits_for, self._vehicle.caveat)))
         if self._tally.state != self._search.state:
             self._tally.state = self._search.state
+            if self._search.state == TAKING_OFF:
+                self._tally.last_error = ""  # no warning from the ground is why it leaves a search later
             self._clients.changed()
             if self._bus:
                 self._bus.publish_health()

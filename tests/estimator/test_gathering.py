@@ -424,6 +424,22 @@ def test_one_that_joins_and_dies_leaves_from_the_round_that_waits_for_it(
     assert said(bus)[-1].step == 3
 
 
+def test_one_whose_payload_has_no_value_leaves_for_that_whatever_it_said_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ticks = itertools.count(0, 3)
+    monkeypatch.setattr(roll, "now_s", lambda: float(next(ticks)))
+    payload = Health("payload", "ready", 0, 0.0, 9.0, {}, warnings=("the sensor has no value",))
+    told = [
+        Arrival(HEALTH, msgspec.json.encode(each), b"", name=f"uav/2/health/{each.service}")
+        for each in (health("searching", "said long ago"), payload)
+    ]
+    nothing = [Arrival(HEALTH, b"", b"", name="health/none")] * 20
+    bus = QuietBus(*IN_ORDER[:3], alive(1), alive(2), *told, *nothing)
+    until_all_are_taken(lambda: service.run(bus, CONFIG, [None] * 2, 20.0))
+    assert departures(bus) == [Departure(2, 1, "no reading for 20 s: the sensor has no value")]
+
+
 def test_the_readings_of_a_latecomer_count_from_its_round_on_when_it_leaves() -> None:
     left = departure(3, 4)
     bus = estimated(3, *JOINING, left, *[arrival(vehicle, 4) for vehicle in (1, 2)], arrival(3, 1))

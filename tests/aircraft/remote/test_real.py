@@ -194,3 +194,16 @@ def test_the_scripts_operator_sends_it_home() -> None:
     cockpit = Cockpit("px4")
     bus = fly(cockpit, lambda _: cockpit.ap.mode == "RTL", Return(step=1))
     assert len(bus.readings) == 2
+
+
+def test_a_warning_from_the_ground_is_not_the_last_error_of_a_flight() -> None:
+    cockpit = Cockpit("ardupilot")
+    errors: list[str] = []
+
+    def has_read(bus: Others) -> object:
+        errors.append(bus.tally.last_error)
+        return bus.readings
+
+    fly(cockpit, has_read)
+    assert any("if this computer fails: warning" in error for error in errors)
+    assert errors[-1] == ""
