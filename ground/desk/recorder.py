@@ -31,6 +31,7 @@ from scene.foxglove import schema_of
 BATCH_S = 0.2
 FLUSH_S = 0.35  # interval of flushes, s, every second batch: a killed recorder loses 0.4 s
 SIGNAL_POLL_S = 0.05
+LOOK_S = 5.0  # how often it is looked for vehicles that are not recorded
 LAST_WORDS_S = 0.5  # longest wait at the end for messages still in transit, s
 LEFT_S = 2.0  # interval at which it says, once told to end, how much is left to write, s
 # Zenoh's threads, read by the first session of a process: by default each message passes through four thread
@@ -106,15 +107,14 @@ def run(args: argparse.Namespace) -> int:
             raise cli.BadInput(reason or cannot) from None
         bus.subscribe(*KEYS)
         bus.settle(CONNECT_TIMEOUT_S)
-        recorded = {f"{OF_VEHICLE}{number}" for number in cli.numbers(args.vehicles)}
-        if missed := [part for part in bus.fleet() if part not in recorded]:
-            bus.log.warning(f"not recorded: {', '.join(missed)}; --vehicles says how many there are")
+        numbers = cli.numbers(args.vehicles)
+        told = tell_missed(bus, {f"{OF_VEHICLE}{number}" for number in numbers})
         bus.tally.state = "recording"
         bus.publish_health()
         print(f"recording to {args.file}", flush=True)
         _give_way()
         try:
-            record(bus, writer, ends, RecordedScene(args.about, args.namespace, cli.numbers(args.vehicles)))
+            record(bus, writer, ends, RecordedScene(args.about, args.namespace, numbers), told)
         except OSError as error:
             words = f"record stopped: {error.strerror} ({args.file})"
             bus.log.warning(words)
@@ -143,10 +143,21 @@ def begin(path: Path, force: bool, about: dict[str, Any]) -> Writer:
         raise
 
 
-def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> None:
-    """Write what comes, in batches, until there is an end. Raises OSError if it cannot be written."""
+def tell_missed(bus: Tap, known: set[str]) -> set[str]:
+    """Tell which vehicles are there and neither recorded nor told of; returns all that now are."""
+    missed = [part for part in bus.fleet() if part not in known]
+    if missed:
+        bus.log.warning(f"not recorded: {', '.join(missed)}; --vehicles says how many there are")
+    return known | {*missed}
+
+
+def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene, vehicles: set[str]) -> None:
+    """Write what comes, in batches, until there is an end. Raises OSError if it cannot be written.
+
+    vehicles: of a search of several, those that are recorded or told of.
+    """
     clock = SimulationClock()
-    flush_at = 0.0
+    flush_at, look_at = 0.0, time.monotonic() + LOOK_S
     ended = False
     while not ended:
         until = time.monotonic() + BATCH_S
@@ -178,6 +189,9 @@ def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> N
         if time.monotonic() >= flush_at:
             writer.flush()
             flush_at = time.monotonic() + FLUSH_S
+        if time.monotonic() >= look_at and bus.connected:
+            vehicles = tell_missed(bus, vehicles)
+            look_at = time.monotonic() + LOOK_S
     writer.close()
 
 

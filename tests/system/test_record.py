@@ -41,6 +41,19 @@ def test_a_record_of_several_says_how_many_they_are(
     assert read(tmp_path / "two.mcap").about["fleet"] == {"vehicles": 2}
 
 
+def test_a_vehicle_that_comes_later_and_is_not_recorded_is_named_once(
+    start, router: str, tmp_path: Path, wait_until: Callable
+) -> None:
+    words = ("--namespace", "search/1", "--vehicles", "2", "--connect", router)
+    recorder = start("sitl", "record", str(tmp_path / "two.mcap"), *words)
+    wait_until(lambda: recorder.out)
+    with Bus("uav", router, "search/1", vehicles=(3,)):
+        wait_until(lambda: recorder.says("not recorded: uav/3; --vehicles says how many there are"))
+    recorder.process.send_signal(signal.SIGINT)
+    recorder.ended()
+    assert sum("not recorded" in line for line in recorder.err) == 1
+
+
 @pytest.mark.parametrize(("vehicles", "missed"), [("1", "uav/1, uav/2"), ("2", "")])
 def test_vehicles_that_are_there_and_are_not_recorded_are_named(
     start, router: str, tmp_path: Path, wait_until: Callable, vehicles: str, missed: str

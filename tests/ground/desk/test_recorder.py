@@ -25,7 +25,9 @@ def test_a_recorder_that_is_told_to_end_before_it_begins_writes_what_was_said(
         tap.settle(30.0)
         estimator.publish(BELIEF, b"said")
         estimator.settle(30.0)
-        recorder.record(tap, Writer(tmp_path / "run.mcap", {}), [signal.SIGTERM], RecordedScene({}, "uav/1"))
+        recorder.record(
+            tap, Writer(tmp_path / "run.mcap", {}), [signal.SIGTERM], RecordedScene({}, "uav/1"), set()
+        )
     recording = read(tmp_path / "run.mcap")
     assert recording.complete
     assert [entry.payload for entry in recording.entries] == [b"said"]
@@ -41,7 +43,9 @@ def test_once_told_to_end_it_says_how_much_is_left_to_write(
         for number in range(3):
             estimator.publish(BELIEF, b"%d" % number)
         estimator.settle(30.0)
-        recorder.record(tap, Writer(tmp_path / "run.mcap", {}), [signal.SIGTERM], RecordedScene({}, "uav/1"))
+        recorder.record(
+            tap, Writer(tmp_path / "run.mcap", {}), [signal.SIGTERM], RecordedScene({}, "uav/1"), set()
+        )
     told = [
         line.strip('"').rpartition(" ")[2]
         for line in capsys.readouterr().err.splitlines()
