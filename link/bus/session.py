@@ -14,7 +14,7 @@ import msgspec
 import zenoh
 
 from link.access.identity import secured
-from link.access.roles import OF_ALL_VEHICLES
+from link.access.roles import OF_ALL_VEHICLES, ON_BOARD, SERVICES
 from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Drops, Inbox, ServiceNames
 from link.bus.keys import HEALTH, KEYS, OF_A_VEHICLE, OF_VEHICLE, Key, vehicle_of
 from link.bus.log import Log
@@ -98,7 +98,8 @@ def _queue(put: Callable[[Any, int], None], arrival: Arrival) -> None:
 def search_of(namespace: str, services: Collection[str]) -> str:
     """Return the namespace of the search of several whose vehicle has these services; else its own."""
     search, _, number = namespace.rpartition(f"/{OF_VEHICLE}")
-    together = search and number.isdecimal() and OF_A_VEHICLE.issuperset(services)
+    on_board = {service for role in ON_BOARD for service in SERVICES[role]}
+    together = search and number.isdecimal() and on_board.issuperset(services)
     return search if together else namespace
 
 

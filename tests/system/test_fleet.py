@@ -614,9 +614,11 @@ def test_status_has_a_row_for_each_vehicle_of_a_search_and_for_its_services(
         Bus("uav", router, "search/1", vehicles=(2,)) as second,
         Bus("estimator", router, "search/1", vehicles=(1, 2)) as estimator,
         Bus("agent", router, "search/1") as agent,
+        Bus("bridge", router, "search/1/uav/1") as bridge,
+        Bus("ros2", router, "search/1/uav/2") as ros2,
         ExitStack() as stack,
     ):
-        parts, over = (first, second, estimator, agent), threading.Event()
+        parts, over = (first, second, estimator, agent, bridge, ros2), threading.Event()
 
         def keep_speaking() -> None:
             while not over.wait(0.1):
@@ -633,6 +635,7 @@ def test_status_has_a_row_for_each_vehicle_of_a_search_and_for_its_services(
             assert out[0] == f"search/1 at {router}"
             rows = [line.split()[:2] for line in out[2:]]
             assert rows[:5] == [[part, "ok"] for part in ("router", "uav/1", "uav/2", "estimator", "agent")]
+            assert sorted(rows[5:]) == [["bridge/1", "ok"], ["ros2/2", "ok"]]
 
 
 @pytest.fixture(scope="module")
