@@ -11,8 +11,10 @@ import zenoh
 
 from link import cli
 from link.access.crowds import Crowds, most_of
+from link.access.identity import identity
 from link.access.reach import endpoint_is_open
 from link.access.refusals import Refusals
+from link.access.roles import ROUTER
 from link.bus.keys import STOP
 from link.bus.log import Log
 from link.bus.messages import Stop, stop_text
@@ -69,10 +71,14 @@ def run(args: argparse.Namespace) -> int:
                 f"{args.listen} is open to other machines: whoever reaches it can command the vehicle "
                 "(--secure DIR admits by role)"
             )
+        known = identity(args.secure, ROUTER, None) if args.secure else None
         crowds = Crowds(session)
         session.declare_subscriber(f"uav/*/{STOP.name}", lambda sample: _tell_stop(log, sample))
         while True:
             time.sleep(SIGNAL_POLL_S)  # all the work is in Zenoh's threads
+            if known and (expiry := known.expiry()):
+                log.warning(expiry)
+                known = None
             if refusals:
                 for name, count in crowds.closed().items():
                     refusals.count("sessions", f"the certificate {name} already holds {most_of(name)}", count)

@@ -2,6 +2,7 @@
 compose.secure.yaml flies.
 """
 
+import datetime
 import json
 import os
 import re
@@ -18,6 +19,7 @@ from ruamel.yaml import YAML
 from agent.trials.rollout import mission
 from link.access.authority import make
 from plume.problems.fleet import Fleet
+from tests.system.conftest import Part
 from tests.system.live import run_agent
 
 ROOT = Path(__file__).parents[2]
@@ -135,6 +137,15 @@ def test_a_missing_certificate_is_one_line(tmp_path: Path, command: str) -> None
         r"--secure: cannot read none/\S+: No such file or directory \(make it with: plumeward certs none",
         line,
     )
+
+
+def test_a_router_whose_certificate_expires_says_so(
+    start: type[Part], tmp_path: Path, wait_until: Callable[..., None]
+) -> None:
+    until = datetime.datetime.now(datetime.UTC) + datetime.timedelta(seconds=6)
+    make(tmp_path, [1], days=1, now=until - datetime.timedelta(days=1))
+    router = start("sitl", "router", "--listen", "tls/127.0.0.1:0", "--secure", str(tmp_path))
+    wait_until(lambda: router.says("the certificate router expired on "))
 
 
 # ---- compose.secure.yaml ----
