@@ -133,6 +133,10 @@ def risks(folder: Path) -> list[str]:
                 f"{place} may be written by everybody: others can replace certificates and keys (forbid it "
                 f"with: chmod o-w {place})"
             )
+    others = stat.S_IROTH | stat.S_IWOTH
+    for key in sorted(filter(Path.is_file, there.rglob("*.key"))):
+        if key.stat().st_mode & others and all(it.stat().st_mode & stat.S_IXOTH for it in key.parents):
+            said.append(f"{key} is open to everybody (forbid it with: chmod o-rw {key})")
     return said
 
 

@@ -1,6 +1,7 @@
 """Protects `plumeward certs`: what it prints, and what it refuses."""
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -95,3 +96,19 @@ def test_a_folder_behind_a_link_or_open_to_everybody_is_made_with_a_warning(
         )
         assert len(lines) == 4
         place.chmod(0o700)
+
+
+def test_a_key_that_everybody_may_read_is_kept_with_a_warning(capsys: pytest.CaptureFixture[str]) -> None:
+    with TemporaryDirectory() as folder:  # a test's own folder is closed to others
+        place, key = Path(folder), Path(folder) / "uav" / "1" / "agent.key"
+        if not all(path.stat().st_mode & 0o001 for path in place.parents):
+            pytest.skip("folders for temporary files are closed to others here")
+        assert made(capsys, folder)[2] == ""
+        for path in (place, place / "uav", key.parent):
+            path.chmod(0o755)
+        assert made(capsys, folder)[2] == ""
+        key.chmod(0o644)
+        said = f"warning: DIR: {key} is open to everybody (forbid it with: chmod o-rw {key})\n"
+        assert made(capsys, folder)[2] == said
+        place.chmod(0o700)
+        assert made(capsys, folder)[2] == ""
