@@ -122,11 +122,12 @@ class Craft:
     fix: tuple[float, float, float] | None = None  # latitude, longitude, degrees, and altitude above sea, m
     condition: Condition = Condition()
     speed_mps: float = math.nan  # over ground; NaN if unknown
+    home: Point = (0.0, 0.0)  # its own, of a real vehicle that searches with others not the frame's origin
 
     @property
     def home_m(self) -> float:
-        """How far it is from home in the plane; NaN if unknown."""
-        return math.hypot(*self.position)
+        """How far it is from its own home in the plane; NaN if unknown."""
+        return math.dist(self.position, self.home)
 
 
 @dataclass(frozen=True, slots=True)

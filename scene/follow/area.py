@@ -56,6 +56,14 @@ class AreaFrame:
         """The frame's origin: latitude and longitude, degrees, and home's altitude, m; None if not told."""
         return (*self._area, self._home[2]) if self._area and self._home else self._home
 
+    @property
+    def own_home(self) -> tuple[float, float]:
+        """Where the vehicle's own home is, (x, y) m; the frame's origin unless the search has another one."""
+        if not (self._area and self._home):
+            return 0.0, 0.0
+        north, east, _ = home_from((*self._area, 0.0), self._home)
+        return east, north
+
     def take(self, message_id: int, fields: dict[str, Any]) -> bool:
         """Take one of the `PLACING` messages of the vehicle's autopilot.
 

@@ -64,6 +64,7 @@ def seen(was: Craft, message_id: int, fields: dict[str, Any], time_s: float, are
                 was.fix,
                 was.condition,
                 was.speed_mps,
+                was.home,
             )
         case 32 if place := area.place(fields):  # LOCAL_POSITION_NED
             return Craft(
@@ -76,6 +77,7 @@ def seen(was: Craft, message_id: int, fields: dict[str, Any], time_s: float, are
                 was.fix,
                 was.condition,
                 math.hypot(fields["vx"], fields["vy"]),
+                area.own_home,
             )
         case 33:  # GLOBAL_POSITION_INT; (0, 0) is sent without a position
             fix = fields["lat"] / 1e7, fields["lon"] / 1e7, fields["alt"] / 1e3

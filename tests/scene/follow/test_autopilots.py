@@ -268,6 +268,14 @@ def test_the_search_speaks_beside_the_autopilot_and_is_told_apart(heard: Heard) 
     assert heard.happened[-2:] == [("uav", "EKF variance"), ("search", "Search gives way: BRAKE")]
 
 
+def test_in_a_search_of_several_it_is_as_far_from_home_as_from_where_it_returns_to(heard: Heard) -> None:
+    heard(beat(4), origin(), home(31.0, 30.0), local(28.0, 26.0, -5.0))
+    heard(origin(), codec=heard.search)  # the area's, of component 191
+    heard(local(28.0, 26.0, -5.0, 1100))
+    assert heard.craft.position == pytest.approx((26.0, 28.0), abs=0.1)
+    assert heard.craft.home_m == pytest.approx(5.0, abs=0.1)
+
+
 def test_a_vehicle_that_a_search_flies_is_a_real_one(heard: Heard) -> None:
     assert not heard(beat(6 << 16, PX4)).history.is_real
     assert heard(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), codec=heard.search).history.is_real
