@@ -133,6 +133,7 @@ def _craft(craft: Craft) -> dict[str, Any]:
         "battery": it.battery,
         "speed_mps": craft.speed_mps,
         "home_m": craft.home_m,
+        "home": craft.home,
         "volts": it.volts,
         "gps": it.gps,
         "health": it.health,

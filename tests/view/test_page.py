@@ -66,6 +66,15 @@ def test_the_vehicle_points_to_where_it_heads(stage: Stage, window: Window) -> N
     assert sum(north) < 150 < sum(east)
 
 
+def test_home_is_where_the_vehicle_returns_to(stage: Stage, window: Window) -> None:
+    around = (2.7, 21.7, 3.3, 22.3)
+    assert window.count("ink", around) == 0
+    stage.vehicles["uav/1"].show(craft=Craft(7.0, (6.0, 12.0), home=(3.0, 22.0)))
+    window.until("plumeward.state.models['uav/1'].scene.craft.mode === ''")
+    window.drawn()
+    assert window.count("ink", around) > 10
+
+
 def test_the_arrow_shows_where_the_air_moves_to(window: Window) -> None:
     # The wind comes from the south-west: the arrow's head, which is wide, is up and to the right of its
     # middle.

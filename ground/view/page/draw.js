@@ -211,8 +211,8 @@ export function waypoint(g, view, { waypoint: place, craft }) {
   haloed(g, colours.waypoint.css, 2.2);
 }
 
-export function home(g, view) {
-  const [x, y] = [view.x(0), view.y(0)];
+export function home(g, view, { craft }) {
+  const [east, north] = craft?.home ?? [0, 0], [x, y] = [view.x(east), view.y(north)];
   g.beginPath();
   for (const [dx, dy] of [[-7, 0], [0, -7], [7, 0]]) g.lineTo(x + dx, y + dy);
   g.moveTo(x - 5, y - 1);

@@ -70,7 +70,7 @@ export class WorldMap {
       draw.edge(g, its, one.scene);
       draw.walls(g, its, one.walls);
       draw.fence(g, its, one.fence);
-      draw.home(g, its);
+      draw.home(g, its, one.scene);
     }
     draw.walls(g, view, model.walls);
     draw.fence(g, view, model.fence);
@@ -79,7 +79,7 @@ export class WorldMap {
     draw.track(g, view, model.track, false);
     for (const [one, its] of [...beside, [model, view]]) draw.readings(g, its, readings(one), one.scene.gauge);
     for (const [one, its] of [...beside, [model, view]]) draw.waypoint(g, its, one.scene);
-    draw.home(g, view);
+    draw.home(g, view, scene);
     if (scene.estimate) draw.estimate(g, view, scene.estimate);
     for (const source of scene.truth?.sources ?? []) draw.source(g, view, source);
     const named = [];

@@ -79,7 +79,7 @@ def test_a_scene_is_sent_in_full_at_first() -> None:
     assert (
         header["craft"]
         == {"x": 1.5, "y": 2.5, "altitude_m": 5.0, "heading": 0.5, "mode": "OFFBOARD", "armed": True}
-        | {"means": "OFFBOARD", "home_m": math.hypot(1.5, 2.5)}
+        | {"means": "OFFBOARD", "home_m": math.hypot(1.5, 2.5), "home": [0.0, 0.0]}
         | UNSAID
     )
     assert header["estimate"] == {
