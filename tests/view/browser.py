@@ -2,12 +2,15 @@
 
 import contextlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 UNWANTED = (
     "WebUIOmniboxPopup",
     "WebUIOmniboxAimPopup",
+    "AvoidCorsURLLoaderRestartOnRedirect",
+    "AvoidUnnecessaryBeforeUnloadCheckSync",
+    "DestroyProfileOnBrowserClose",
     "HttpsUpgrades",
     "HttpsFirstBalancedModeAutoEnable",
     "LensOverlay",
@@ -15,6 +18,8 @@ UNWANTED = (
     "NetworkTimeServiceQuerying",
     "OptimizationHints",
     "PaintHolding",
+    "PreconnectToSearch",
+    "ThirdPartyStoragePartitioning",
 )
 """Features that are switched off. The first two load two pages of the browser's own beside each window, at
 twice the cost of ours. The others Playwright switches off, too, but the last such flag replaces its own.
@@ -46,6 +51,20 @@ def launched() -> Iterator[Any]:
     path = found()
     assert path, MISSING
     with sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=path, args=list(FLAGS))
+        chromium = standing(lambda: driver.chromium.launch(executable_path=path, args=list(FLAGS)))
         yield chromium
         chromium.close()
+
+
+def standing(launch: Callable[[], Any], attempts: int = 3) -> Any:
+    """A browser that has shown an empty page. On a busy machine Chromium may die at its start."""
+    from playwright.sync_api import Error
+
+    chromium = launch()
+    try:
+        chromium.new_page().close()
+    except Error:
+        if attempts == 1:
+            raise
+        return standing(launch, attempts - 1)
+    return chromium
