@@ -9,6 +9,7 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 
+from ground.findings.assumed import UNTOLD_RATE
 from ground.logs import survey
 from ground.logs.table import is_table
 from ground.replay import settings, verify
@@ -54,8 +55,6 @@ FILTER_FLAGS = (
 )
 # Of a sensor of which only the noise in clean air is known: readings are wrong by this share of the gas.
 SENSOR_NOISE = 0.3
-# Of a leak of which nothing is told: 1 kg/h, two thirds within a factor of 7.4.
-UNTOLD_RATE = "q=lognormal:0.28,2"
 
 FIRST_VEHICLE = "uav/1"  # the namespace of the first vehicle
 OVERTAKE_NS = 500_000_000  # largest time by which messages overtake each other on their way into a log, ns

@@ -1,5 +1,7 @@
 """Protects what findings say of the estimator without importing it: priors and limits are the estimator's own."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,10 +11,13 @@ from estimator.assumptions import effective_priors
 from estimator.priors import text
 from ground.findings import assumed, verdict
 from ground.findings.assumed import FIELD, WORDS, field_priors, stop_text, told_of, unit_of
+from ground.replay.source import table
 from plume.parameters import PARAMETERS
 from plume.sensors import names
 from plume.sensors.names import KINDS
 from tests.ground.findings.records import FOUND, GOLDEN, findings
+
+LAWNMOWER = Path(__file__).parents[3] / "docs" / "examples" / "lawnmower.csv"
 
 
 @pytest.mark.parametrize("sensor", KINDS.values(), ids=KINDS)
@@ -63,6 +68,12 @@ def test_a_given_prior_stands_in_place_of_the_assumptions() -> None:
     [row] = [row for row in told.priors if row.name == "q"]
     assert (row.given, row.words) == (True, "gamma, shape 2, scale 150")
     assert told.margin_m == 4.0
+
+
+def test_the_rate_of_a_log_that_tells_none_was_not_given() -> None:
+    about = table(LAWNMOWER, {"columns": "gasflux"}, {}).about
+    [row] = [row for row in told_of(findings().last, about).priors if row.name == "q"]
+    assert (row.given, row.words) == (False, "log-normal, median 0.28, standard deviation of the logarithm 2")
 
 
 def test_the_prior_of_a_problem_was_given() -> None:
