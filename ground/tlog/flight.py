@@ -110,7 +110,7 @@ def read(
         log.notes.append("gas and wind: simulated along the path")
     else:
         samples = read_gas(log, autopilot, clock, source, left_out)
-        if source.unit:
+        if source.unit and samples:
             samples, noise = without_background(samples, source, background, log.notes)
             sensed = Sensed(noise)
         air = read_wind(log, autopilot, clock, wind)

@@ -449,6 +449,14 @@ def test_what_is_no_number_or_said_again_is_left_out_and_counted(tmp_path: Path)
     assert noted(flight, "left out") == "left out: 1 repeated, 2 not finite, 1 with the time of another value"
 
 
+@pytest.mark.parametrize("source", ["gas", "gas@ppm"])
+def test_gas_that_is_never_a_number_is_refused_in_one_line(tmp_path: Path, source: str) -> None:
+    log = Recorder()
+    fly(log, 0.0, 3.0, value=lambda _: math.nan)
+    with pytest.raises(BadInput, match=r"can be a reading; left out: 3 not finite$"):
+        read(log.write(tmp_path), gas=source)
+
+
 def test_on_the_ground_nothing_is_measured(tmp_path: Path) -> None:
     log = Recorder()
     for n in range(10):  # armed from 2 s to 7 s, in the air from 3 s to 6 s
