@@ -11,12 +11,15 @@ import re
 import struct
 from collections.abc import Callable
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 from pymavlink.dialects.v20 import all as mavlink
 
-from ground.tlog.frames import LATEST_US
+from ground.tlog.frames import LATEST_US, SURE_US
 from link.bus.mavlink import WRAP_MS, Codec, Message
 
 DATAFLASH = b"\xa3\x95"  # begins each message of a dataflash log, and so the log
@@ -34,6 +37,8 @@ UNLIKE = struct.error, LookupError, ValueError, TypeError, OverflowError, Attrib
 DATAFLASH_HEAD = 3  # bytes before a message's body
 FORMAT_TYPE = 0x80  # of the dataflash message that defines the others
 NAME_LENGTH = 10  # of a NAMED_VALUE_FLOAT
+CONTENT = slice(7, -2)  # of a frame: all but its sequence number and checksum
+TURN = 5  # a vehicle has restarted where so many messages are earlier than so many before them
 Fields = dict[str, Any]
 
 
@@ -115,8 +120,27 @@ def telemetry(data: bytes, gas: str = "") -> tuple[bytes, str]:
     """
     said = _Said(re.split(r"[*@]", gas)[0])
     told = _read_dataflash(data, said) if data.startswith(DATAFLASH) else _read_ulog(data, said)
-    said.frames.sort(key=lambda each: each[0])
-    return b"".join((said.utc_us + us).to_bytes(8) + frame for us, frame in said.frames), told
+    return b"".join((said.utc_us + us).to_bytes(8) + frame for us, frame in _in_order(said.frames)), told
+
+
+def _in_order(said: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+    """Return frames, each once, in order of time.
+
+    Where the vehicle's clock goes back it has restarted: then times go on.
+    """
+    frames = list({(us, frame[CONTENT]): (us, frame) for us, frame in said}.values())
+    times_us = np.array([us for us, _ in frames], np.int64)
+    starts = [0]
+    if len(frames) > TURN:
+        runs = sliding_window_view(times_us, TURN)  # one damaged time is no restart
+        back = runs[TURN:].max(axis=1) < runs[:-TURN].min(axis=1) - SURE_US
+        starts += (np.flatnonzero(back) + TURN).tolist()
+    ordered: list[tuple[int, bytes]] = []
+    for start, end in pairwise([*starts, len(frames)]):
+        boot = sorted(frames[start:end], key=lambda each: each[0])
+        on_us = ordered[-1][0] - boot[0][0] if ordered else 0
+        ordered += [(us + on_us, frame) for us, frame in boot]
+    return ordered
 
 
 class _Said:

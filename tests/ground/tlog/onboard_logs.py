@@ -57,8 +57,8 @@ class Dataflash:
         return path
 
 
-def flown() -> Dataflash:
-    """It arms at 12 s and flies east at 1 m/s from (1, 0), north and east of home, 5 m up."""
+def flown(north: float = 1.0, late_us: int = 0) -> Dataflash:
+    """It arms at 12 s and flies east at 1 m/s from (`north`, 0), north and east of home, 5 m up."""
     log = Dataflash()
     log.define("GPS", "QBIH", "TimeUS,Status,GMS,GWk")
     log.define("ORGN", "QBLLe", "TimeUS,Type,Lat,Lng,Alt")
@@ -67,16 +67,16 @@ def flown() -> Dataflash:
     log.define("ARM", "QB", "TimeUS,ArmState")
     log.define("NVAL", "QINfBB", "TimeUS,TimeBootMS,Name,Value,SSys,SCom")
     log.define("GASX", "Qf", "TimeUS,Conc")
-    log.say("ORGN", 1_000_000, 0, *e7(-3.0, -4.0), 48_800)
-    log.say("ORGN", 1_000_000, 1, *e7(0.0, 0.0), 48_800)
-    log.say("ARM", 1_500_000, 0)
+    log.say("ORGN", 1_000_000 + late_us, 0, *e7(-3.0, -4.0), 48_800)
+    log.say("ORGN", 1_000_000 + late_us, 1, *e7(0.0, 0.0), 48_800)
+    log.say("ARM", 1_500_000 + late_us, 0)
     for n in range(101):
-        us = 10_000_000 + 200_000 * n
+        us = 10_000_000 + 200_000 * n + late_us
         if n == 0:
             log.say("GPS", us, 3, WEEK_MS, GPS_WEEK)
         if n == 10:
             log.say("ARM", us, 1)
-        log.say("POS", us, *e7(1.0, 0.2 * n), 493.0, 5.0)
+        log.say("POS", us, *e7(north, 0.2 * n), 493.0, 5.0)
         if n % 5 == 0:
             log.say("XKF2", us, 0, 1.5, -2.0)
             log.say("XKF2", us, 1, 9.0, 9.0)  # another core

@@ -73,6 +73,41 @@ def test_a_dataflash_log_of_nothing_to_read_is_one_line(tmp_path: Path) -> None:
         read(Dataflash().write(tmp_path))
 
 
+def test_two_flights_in_one_log_are_read_one_after_the_other(tmp_path: Path) -> None:
+    """A second flight in the same log starts its clock anew, as where files were joined."""
+    first, second = flown(), flown(north=9.0, late_us=3_000)
+    apart = [readings(read(log.write(tmp_path), area_m=30.0)) for log in (first, second)]
+    first.data += second.data
+    flight = read(first.write(tmp_path))
+    assert [(each.position, each.gas) for each in readings(flight)] == [
+        (each.position, each.gas) for each in apart[0] + apart[1]
+    ]
+    times_ms = [each.time_boot_ms for each in readings(flight)]
+    assert times_ms == sorted(set(times_ms))
+    assert any("the vehicle restarted: at " in note for note in flight.notes)
+
+
+def test_a_piece_that_a_log_holds_twice_counts_once(tmp_path: Path) -> None:
+    log = flown()
+    clean = readings(read(log.write(tmp_path)))
+    middle = log.data.index(b"\xa3\x95", len(log.data) // 2)
+    log.data = log.data[:middle] + log.data[middle - 2000 :]
+    assert readings(read(log.write(tmp_path))) == clean
+
+
+def test_one_damaged_time_is_no_restart(tmp_path: Path) -> None:
+    log = flown()
+    log.say("ARM", 3_600_000_000, 1)
+    late = log.data[-(3 + 9) :]
+    log.data = log.data[:-12]
+    clean = readings(read(log.write(tmp_path)))
+    middle = log.data.index(b"\xa3\x95", len(log.data) // 2)
+    log.data = log.data[:middle] + late + log.data[middle:]
+    flight = read(log.write(tmp_path))
+    assert readings(flight) == clean
+    assert not any("restarted" in note for note in flight.notes)
+
+
 # ---- PX4 ----
 
 
