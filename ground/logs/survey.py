@@ -11,7 +11,7 @@ from ground.logs.columns import Columns, gas_unit
 from ground.logs.samples import INTERVAL_S, Samples, samples, spread_over
 from ground.tlog.background import clean_air
 from ground.tlog.clock import Floats
-from ground.tlog.flight import LoggedFlight, Origin, Sensed, check, fitted_area, note_on_readings
+from ground.tlog.flight import FARTHEST_M, LoggedFlight, Origin, Sensed, check, fitted_area, note_on_readings
 from ground.tlog.log import AUTOPILOT, counted
 from ground.tlog.samples import WIND_AGE_MS, Pair
 from link.bus.keys import MAVLINK_OUT, READING
@@ -29,7 +29,6 @@ MOST_READINGS = 300  # unless --every is given: a belief's moves weigh all readi
 SPACING_M = 1.0  # a vehicle that stays this near to where a reading began
 HOVER_S = 10.0  # gives one reading in this time
 GAP_S = 5.0  # a reading ends at a longer silence
-FARTHEST_M = 20_000.0  # from the middle of the flight
 VELOCITY_S = 1.0  # a velocity is taken from places this long before and after
 TELEMETRY_S = 0.5  # between two positions of the vehicle
 

@@ -33,6 +33,7 @@ from plume.worlds.exposure import Before
 from plume.worlds.world import World
 
 MARGIN_M = 2.0  # between the path and the edge of a search area that is fitted to it
+FARTHEST_M = 20_000.0  # from the middle of the flight
 STRONGEST_MPS = 100.0
 EVERY_S = 1.0
 LEAST_EVERY_S = 0.001  # reading times are whole milliseconds
@@ -114,7 +115,7 @@ def read(
             samples, noise = without_background(samples, source, background, log.notes)
             sensed = Sensed(noise)
         air = read_wind(log, autopilot, clock, wind)
-    taken = _take(samples, every, flying, flown, air, left_out)
+    taken = _near(_take(samples, every, flying, flown, air, left_out), left_out)
     fitted = (area_m or AREA_M, None) if plume else (area_m, home)
     side_m, corner = fitted_area([place for _, place, _ in taken], origin, *fitted)
     readings = _readings(taken, corner, side_m, plume, left_out)
@@ -221,6 +222,22 @@ def _take(
             interval = number
             taken.append(Taken(sample, place, wind))
     return taken
+
+
+def _near(taken: list[Taken], left_out: Counter[str]) -> list[Taken]:
+    """Return what lies near the flight's middle, or where a search was: a receiver may jump anywhere."""
+    if not taken:
+        return taken
+    ground = np.array([place[:2] for _, place, _ in taken])
+    away_m = np.linalg.norm(ground - np.median(ground, axis=0), axis=1).tolist()
+    near = [
+        each
+        for each, m in zip(taken, away_m, strict=True)
+        if m <= FARTHEST_M or each.sample.place is not None
+    ]
+    if far := len(taken) - len(near):
+        left_out[f"more than {FARTHEST_M / 1000:g} km from the middle of the flight"] = far
+    return near
 
 
 def fitted_area(
