@@ -7,6 +7,7 @@ Where an image lies is said by a GeoTIFF's own tags, a world file beside it (`si
 import base64
 import io
 import math
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -58,19 +59,22 @@ def background(
         from PIL import Image
     except ImportError:
         raise BackgroundError(f"{path} needs Pillow: {TO_INSTALL}") from None
+    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would be waited for
+        raise BackgroundError(f"{path} is not a file; wanted one")
+    too_many = f"{path} has too many pixels; wanted at most {MOST_PIXELS:,}"
     try:
-        with Image.open(path, formats=FORMATS) as image:
+        with warnings.catch_warnings(action="ignore"), Image.open(path, formats=FORMATS) as image:
             if image.width * image.height > MOST_PIXELS:
-                raise BackgroundError(
-                    f"{path} has {image.width} by {image.height} pixels; wanted at most {MOST_PIXELS:,}"
-                )
+                raise BackgroundError(too_many)
             tags = dict(image.tag_v2) if hasattr(image, "tag_v2") else {}
             size = image.width, image.height
             corners = _corners(path, size, tags, bounds)
             uri, shrunk = _picture(image)
     except BackgroundError:
         raise
-    except (OSError, ValueError, SyntaxError, TypeError, KeyError, Image.DecompressionBombError) as error:
+    except Image.DecompressionBombError:
+        raise BackgroundError(too_many) from None
+    except (OSError, ValueError, SyntaxError, TypeError, KeyError) as error:
         reason = getattr(error, "strerror", None) or "not an image that can be read; wanted PNG, JPEG or TIFF"
         raise BackgroundError(f"{path}: {reason}") from None
     plane = [to_local(*home, lat, lon)[::-1] for lat, lon in corners]

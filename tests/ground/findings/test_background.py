@@ -3,6 +3,10 @@
 import base64
 import io
 import math
+import os
+import struct
+import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -104,8 +108,9 @@ def test_web_mercator_is_turned_into_degrees() -> None:
         (lambda path: path.mkdir(), "Is a directory"),
         (lambda path: None, "No such file"),
         (lambda path: image(path), "does not say where it lies"),
+        (lambda path: os.mkfifo(path), "is not a file"),
     ],
-    ids=["empty", "broken", "folder", "missing", "nowhere"],
+    ids=["empty", "broken", "folder", "missing", "nowhere", "pipe"],
 )
 def test_a_wrong_image_is_one_line(tmp_path: Path, make: object, said: str) -> None:
     path = tmp_path / "site.png"
@@ -113,6 +118,26 @@ def test_a_wrong_image_is_one_line(tmp_path: Path, make: object, said: str) -> N
     with pytest.raises(BackgroundError, match=said) as error:
         placed(path)
     assert "\n" not in str(error.value)
+
+
+def png(path: Path, width: int, height: int) -> Path:
+    """Write a PNG of this size that is cut off before its pixels."""
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", b""))
+    return path
+
+
+@pytest.mark.parametrize("side", [9_999, 10_001, 14_000, 100_000])
+def test_an_image_of_too_many_pixels_is_refused_for_them_without_a_word_of_the_library(
+    tmp_path: Path, side: int
+) -> None:
+    said = "not an image" if side < 10_000 else "has too many pixels; wanted at most 100,000,000"
+    with warnings.catch_warnings(action="error"), pytest.raises(BackgroundError, match=said):
+        placed(png(tmp_path / "site.png", side, side), edges())
 
 
 @pytest.mark.parametrize("number", [2056, 26943])  # Swiss, and California's of NAD83
