@@ -9,6 +9,7 @@ import io
 import math
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -148,12 +149,16 @@ def _corners(
             "WEST,SOUTH,EAST,NORTH"
         )
     a, b, c, d, e, f = model
-    corners = [
-        to_earth(a * column + b * row + c, d * column + e * row + f)
-        for column, row in ((0, 0), (width, 0), (0, height))
-    ]
-    if not all(abs(lat) <= 90 and abs(lon) <= 540 for lat, lon in corners):
-        raise BackgroundError(f"{path} lies nowhere on earth: its corners are {corners}")
+    if a * e == b * d:
+        raise BackgroundError(f"{path} lies nowhere on earth: its pixels have no width or no height")
+    corners = []
+    with suppress(OverflowError, ValueError):  # what no projection takes
+        corners = [
+            to_earth(a * column + b * row + c, d * column + e * row + f)
+            for column, row in ((0, 0), (width, 0), (0, height))
+        ]
+    if not corners or not all(abs(lat) <= 90 and abs(lon) <= 540 for lat, lon in corners):
+        raise BackgroundError(f"{path} lies nowhere on earth: its upper left corner is at {c:g}, {f:g}")
     return corners
 
 

@@ -140,6 +140,17 @@ def test_an_image_of_too_many_pixels_is_refused_for_them_without_a_word_of_the_l
         placed(png(tmp_path / "site.png", side, side), edges())
 
 
+@pytest.mark.parametrize("system", [(2048, 4326), (3072, 3857), (3072, 32632)])
+@pytest.mark.parametrize("scale", [0.0, 1e300, math.inf, math.nan])
+def test_a_geotiff_whose_pixels_have_no_size_on_earth_is_refused(
+    tmp_path: Path, scale: float, system: tuple[int, int]
+) -> None:
+    model = 2 if system[0] == 2048 else 1
+    tiff = tagged(tmp_path / "site.tif", (scale, scale), (8.5, 47.4), [(1024, model), system])
+    with pytest.raises(BackgroundError, match=r"site\.tif lies nowhere on earth: its "):
+        placed(tiff)
+
+
 @pytest.mark.parametrize("number", [2056, 26943])  # Swiss, and California's of NAD83
 def test_a_geotiff_of_another_reference_system_is_refused_by_its_number(number: int, tmp_path: Path) -> None:
     tiff = tagged(tmp_path / "site.tif", (1.0, 1.0), (0.0, 0.0), [(1024, 1), (3072, number)])
