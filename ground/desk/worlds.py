@@ -21,6 +21,7 @@ FRAMES = 16  # at most that are looked at
 PLACES = 200  # at most along x and y
 LABEL = 16  # characters
 WIDTH = 80
+SEPARATORS = (",", "+")  # of parameters and of worlds: a name of a world cannot hold a path with one
 
 
 class Look(NamedTuple):
@@ -121,7 +122,9 @@ def lines(file: Path, facts: Facts, look: Look) -> list[str]:
         "wind": _wind(look),
         "more": "; ".join(facts.remarks),
         "not read": ", ".join(facts.unread),
-        "to fly in it": f"--world {shlex.quote(world(file, facts, look))}",
+        "to fly in it": f"under another name: a path with {' or '.join(SEPARATORS)} cannot be told"
+        if any(sign in str(file) for sign in SEPARATORS)
+        else f"--world {shlex.quote(world(file, facts, look))}",
     }
     return [
         line

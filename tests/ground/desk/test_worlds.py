@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from plume.worlds.names import named
 from sitl.__main__ import main
 from tests.plume.recorded import writers
 
@@ -84,6 +85,17 @@ def test_what_the_file_does_not_say_is_left_open_for_whoever_flies(
     assert said["to fly in it"] == (
         "--world 'recorded:file=simulations/sim1,fps=…,source_x=…,source_y=…,source_z=…,wind=…,gas=…'"
     )
+
+
+@pytest.mark.parametrize("name", ["a,b.npy", "a+b.npy"])
+def test_a_path_that_no_world_can_name_is_told_as_such(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    writers.npy(tmp_path / name, np.ones((2, 3, 4), np.float32))
+    assert shown(capsys, name)["to fly in it"] == "under another name: a path with , or + cannot be told"
+    with pytest.raises(ValueError, match="wanted"):
+        named(f"recorded:file={name},fps=1,source_x=1,source_y=1,wind=180")
 
 
 @pytest.mark.slow
