@@ -25,6 +25,7 @@ from link.bus.mavlink import WRAP_MS, Codec, Message
 DATAFLASH = b"\xa3\x95"  # begins each message of a dataflash log, and so the log
 ULOG, ULOG_HEADER = b"ULog\x01\x12\x35", 16  # its first bytes, and the length of its header
 ULOG_HEAD = struct.Struct("<Hc")  # size and kind of a message
+ULOG_LONGEST = 65_535  # bytes of a message's body
 ULOG_KINDS = {bytes([kind]) for kind in b"BFIMPQALCDROS"}
 ULOG_SYNC = b"\x08\x00S\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 ULOG_TYPES = {
@@ -265,11 +266,12 @@ def _read_ulog(data: bytes, said: _Said) -> str:
 
 def _ulog_layout(fields: str) -> _Layout | None:
     """Return how a topic is laid out; None if it cannot be read. Arrays are values with a number: `q[0]`."""
-    codes, names = "<", []
+    codes = "<"
+    names: list[str] = []
     for kind, many, name in ULOG_FIELD.findall(fields):
         if name.startswith("_padding"):  # only at the end, where it is not logged
             break
-        if kind not in ULOG_TYPES:
+        if kind not in ULOG_TYPES or len(names) + int(many or 1) > ULOG_LONGEST:
             return None
         if kind == "char":
             codes += f"{many or 1}s"

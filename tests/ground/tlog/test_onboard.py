@@ -3,6 +3,7 @@ by hand, damage costs nothing but itself, and what is no such log is one line.
 """
 
 import re
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -153,6 +154,19 @@ def test_a_topic_that_no_message_can_have_is_not_followed(tmp_path: Path, fields
     log.put("F", f"b:{fields};".encode())
     log.data += flown_by_px4().data[len(ULog().data) :]
     assert len(readings(read(log.write(tmp_path), gas="CH4", wind=WESTERLY))) == 10
+
+
+def test_a_topic_that_claims_more_than_a_message_can_hold_takes_no_memory(tmp_path: Path) -> None:
+    log = ULog()
+    log.put("F", b"wind:" + b"uint8_t[999] x;" * 1000)  # a million values in 15 kB
+    log.data += flown_by_px4().data[len(ULog().data) :]
+    path = log.write(tmp_path)
+    tracemalloc.start()
+    try:
+        assert len(readings(read(path, gas="CH4"))) == 10
+        assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    finally:
+        tracemalloc.stop()
 
 
 # ---- as others read them ----
