@@ -33,7 +33,7 @@ LIMITS: Mapping[str, tuple[float, float]] = {
     "temperature": (-90.0, 70.0),
     "pressure": (300.0, 1100.0),
     "path": (0.0, 1000.0),
-    "gas": (-1e9, 1e9),
+    "gas": (-units.GREATEST, units.GREATEST),
 }
 TIMES = ("auto", "s", "ms", "us")  # of a number; text says itself what it is
 NAMES = ("time", "date", "lat", "lon", "gas", *(name for name in SCALES if name not in ("lat", "lon")))

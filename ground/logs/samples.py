@@ -299,6 +299,8 @@ def _bad(name: str, column: LoggedColumn, row: int, text: str) -> _Bad:
         factor, offset = SCALES[name][column.unit]
         low, high = ((limit - offset) / factor for limit in LIMITS[name])
         wanted = f"a number from {low:g} to {high:g} {column.unit}"
+    elif math.isfinite(value):
+        wanted = "a number from {:g} to {:g}".format(*LIMITS[name])
     if name == "lat" and 90.0 < abs(value) <= 180.0:
         hint = " (are latitude and longitude swapped?)"
     return _Bad(kind, f"row {row}: {column.name} is {_quoted(text)}; wanted {wanted}{hint}")

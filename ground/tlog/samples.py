@@ -166,6 +166,8 @@ def read_gas(
         sample = LoggedGas(round(time_ms), us, value)
         if not math.isfinite(value):
             left_out["not finite"] += 1
+        elif source.unit and abs(value) > units.GREATEST * source.factor:
+            left_out[f"beyond ±{units.GREATEST:g} {source.unit.name}"] += 1
         elif samples and samples[-1].time_ms == sample.time_ms:
             left_out["repeated" if samples[-1].gas == value else "with the time of another value"] += 1
         else:

@@ -21,6 +21,7 @@ MOLAR_MASSES = {  # g/mol
 SHARES = {"ppb": 1e-9, "ppm": 1e-6, "%": 1e-2}  # of the air's volume
 MASSES = {"g/m3": 1.0, "mg/m3": 1e-3, "ug/m3": 1e-6}  # g/m³
 PATHS = {"ppm*m": 1e-6, "ppb*m": 1e-9}  # shares of the air's volume, summed along a path in m
+GREATEST = 1e9  # value that is taken for one, of any unit
 UNITS = (*SHARES, *MASSES, *PATHS)
 
 

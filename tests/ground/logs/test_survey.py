@@ -233,6 +233,7 @@ def test_what_a_log_holds_while_the_vehicle_stands_counts_once(tmp_path: Path) -
         ),
         ({0: "2026-06-01 08:59:00"}, "row 6: timestamp is 63.000 s before the row before; wanted times that"),
         ({4: "-1"}, "used without it: first row 6: windspeed is '-1'; wanted a number from 0 to 100 m/s"),
+        ({8: "4294967295"}, "first row 6: ch4 is '4294967295'; wanted a number from -1e+09 to 1e+09"),
     ],
 )
 def test_a_bad_row_is_left_out_and_named(cells: dict[int, str], words: str, tmp_path: Path) -> None:

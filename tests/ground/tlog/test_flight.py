@@ -470,6 +470,19 @@ def test_gas_that_is_never_a_number_is_refused_in_one_line(tmp_path: Path, sourc
         read(log.write(tmp_path), gas=source)
 
 
+def test_a_value_that_is_none_of_its_unit_is_left_out(tmp_path: Path) -> None:
+    log, clean = Recorder(), Recorder()
+    fly(log, 0.0, 12.0, value=lambda seconds: 3e38 if 6.0 < seconds < 7.0 else seconds)
+    fly(clean, 0.0, 12.0, value=lambda seconds: math.nan if 6.0 < seconds < 7.0 else seconds)
+    flight, wanted = (
+        read(each.write(tmp_path, f"{name}.tlog"), gas="gas@ppm")
+        for name, each in (("log", log), ("clean", clean))
+    )
+    assert readings(flight) == readings(wanted)
+    assert flight.sensed == wanted.sensed
+    assert noted(flight, "left out") == "left out: 1 beyond ±1e+09 ppm"
+
+
 def test_on_the_ground_nothing_is_measured(tmp_path: Path) -> None:
     log = Recorder()
     for n in range(10):  # armed from 2 s to 7 s, in the air from 3 s to 6 s
