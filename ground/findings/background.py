@@ -57,7 +57,7 @@ def background(
     of the image, degrees; None where the image says so itself.
     """
     try:
-        from PIL import Image
+        from PIL import Image, ImageOps
     except ImportError:
         raise BackgroundError(f"{path} needs Pillow: {TO_INSTALL}") from None
     if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would be waited for
@@ -70,7 +70,8 @@ def background(
             tags = dict(image.tag_v2) if hasattr(image, "tag_v2") else {}
             size = image.width, image.height
             corners = _corners(path, size, tags, bounds)
-            uri, shrunk = _picture(image)
+            # Edges are those of the picture as viewers turn it, a world file's those of its pixels.
+            uri, shrunk = _picture(ImageOps.exif_transpose(image) if bounds else image)
     except BackgroundError:
         raise
     except Image.DecompressionBombError:

@@ -183,6 +183,32 @@ def test_an_image_that_does_not_meet_the_area_is_refused_in_a_line_that_says_whe
         placed(path, edges(), Area((41, 0), (51, 20)))
 
 
+def shown(found: Background) -> np.ndarray:
+    """The picture that is laid on the map, (row, column, colour)."""
+    data = base64.b64decode(found.uri.partition(",")[2])
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"), float)
+
+
+def test_a_photograph_that_a_camera_turned_lies_as_viewers_show_it_between_bounds_alone(
+    tmp_path: Path,
+) -> None:
+    """Orientation 6 of EXIF: the first row is the right edge of what is seen. The first row is white."""
+    pixels = np.zeros((20, 40, 3), np.uint8)
+    pixels[:10] = 255
+    path, exif = tmp_path / "site.jpg", Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(pixels).save(path, exif=exif)
+    found = placed(path, edges())
+    assert (found.width, found.height) == (20, 40)
+    seen = shown(found)
+    assert seen[:, 12:].min() > 200
+    assert seen[:, :8].max() < 50
+    west, south, east, north = edges()
+    lines = ((east - west) / 40, 0.0, 0.0, (south - north) / 20, west, north)
+    path.with_suffix(".jgw").write_text("\n".join(map(repr, lines)))
+    assert shown(placed(path))[:8].min() > 200
+
+
 @pytest.mark.parametrize("kind", [np.uint16, np.int32, np.float32])
 def test_a_picture_of_16_or_32_bits_is_shown_from_its_least_to_its_greatest(
     kind: type, tmp_path: Path
