@@ -7,6 +7,7 @@ from ground.findings.assumed import calibration, stop_text
 from ground.findings.background import Background
 from ground.findings.chart import near_map, rates_map, whole_map
 from ground.findings.figures import Findings, Ranged, as_json, simulated_source
+from ground.findings.flight import Flight
 from ground.findings.numbers import degree_decimals, rounded, significant, utc
 from ground.findings.unseen import METHOD
 from ground.findings.verdict import CLEAR, DOUBTFUL, FOUND, INCOMPATIBLE, NOT_FOUND, OUTSIDE
@@ -26,6 +27,7 @@ from link.terminal import printable
 from plume.outcome import gas_lines
 
 MOST_WARNINGS = 200
+EARLIEST_NS = 946_684_800 * 10**9  # 2000 in UTC: no flight was earlier
 NEAR = 0.2  # a region that is smaller than this share of the area has a map of its own
 COLOURS = {FOUND: "#dff5ec", DOUBTFUL: "#fdf3da", OUTSIDE: "#e4eef6", NOT_FOUND: "#eef0f2"}
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"  # of the page: nothing from elsewhere
@@ -98,7 +100,14 @@ def _e(text: object) -> str:
 
 def _flown(it: Findings) -> str:
     simulated = ". A simulated flight: the gas is a simulator's." if simulated_source(it) else ""
-    return f"{utc(it.flight.began_ns)} to {utc(it.flight.ended_ns)} (UTC){simulated}"
+    return f"{_times(it.flight)}{simulated}"
+
+
+def _times(flight: Flight) -> str:
+    told = f"{utc(flight.began_ns)} to {utc(flight.ended_ns)} (UTC)"
+    return (
+        told if flight.began_ns >= EARLIEST_NS else f"{told}, by a clock that was not set: no date is known"
+    )
 
 
 def sentence(it: Findings) -> str:
@@ -321,7 +330,7 @@ def _provenance(it: Findings) -> list[tuple[str, str]]:
             f"{len(flight.samples):,} in {figures['distance_m']:.1f} m"
             + (f", of {len(flight.tracks)} vehicles" if len(flight.tracks) > 1 else ""),
         ),
-        ("First and last reading", f"{utc(flight.began_ns)} to {utc(flight.ended_ns)} (UTC)"),
+        ("First and last reading", _times(flight)),
         (
             "Home",
             "unknown: nobody said where it is"

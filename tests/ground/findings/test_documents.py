@@ -476,3 +476,13 @@ def test_where_one_document_cannot_be_written_none_is_and_older_ones_stay(tmp_pa
         write(findings(), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"readings.csv", "findings.html"}
     assert (tmp_path / "findings.html").read_text() == "older"
+
+
+def test_a_date_of_a_clock_that_nobody_has_set_is_told_as_none() -> None:
+    it = findings()
+    words = "by a clock that was not set: no date is known"
+    assert words not in page(it)
+    since_1970 = it.flight.began_ns  # a log without a date counts from 1970
+    samples = [each._replace(utc_ns=each.utc_ns - since_1970) for each in it.flight.samples]
+    undated = page(replace(it, flight=it.flight._replace(samples=samples)))
+    assert undated.count(f"1970-01-01T00:00:00.194Z (UTC), {words}") == 2
