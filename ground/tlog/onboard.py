@@ -9,6 +9,7 @@ compare both with us.
 import contextlib
 import re
 import struct
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
@@ -107,6 +108,7 @@ TELEMETRY: dict[str, tuple[Callable[..., Message | None], tuple[str, ...]]] = {
     "vehicle_land_detected": (_landed, ("landed",)),
     "debug_key_value": (_named, ("key", "value")),
 }
+PARAMETER, OWN_IDS = "PARM", ("SYSID_THISMAV", "MAV_SYSID")  # ArduPilot's, of its own system id
 TIME_OF_DAY = ("GPS", "vehicle_gps_position", "sensor_gps")  # messages that tell the time of day
 GPS_EPOCH_US = 315_964_800_000_000  # 6 January 1980
 LEAP_US = 18_000_000  # GPS time is ahead of UTC by this, since 2017
@@ -121,7 +123,10 @@ def telemetry(data: bytes, gas: str = "") -> tuple[bytes, str]:
     """
     said = _Said(re.split(r"[*@]", gas)[0])
     told = _read_dataflash(data, said) if data.startswith(DATAFLASH) else _read_ulog(data, said)
-    return b"".join((said.utc_us + us).to_bytes(8) + frame for us, frame in _in_order(said.frames)), told
+    own = said.own_frames()
+    if others := len(said.frames) - len(own):
+        told += f", {others:,} values of other systems with the same name left out"
+    return b"".join((said.utc_us + us).to_bytes(8) + frame for us, frame in _in_order(own)), told
 
 
 def _in_order(said: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
@@ -148,11 +153,13 @@ class _Said:
     """What a log says that telemetry has a message for."""
 
     def __init__(self, gas: str) -> None:
-        self.frames: list[tuple[int, bytes]] = []  # with their times, µs since the boot
+        # With their times, µs since the boot, and of a value that was received its name and sender's system.
+        self.frames: list[tuple[int, bytes, tuple[str, int] | None]] = []
+        self._system = 0  # the vehicle's own id; 0 until it says so
         self.utc_us = 0  # time of the boot, µs since 1970; 0 until a receiver tells it
         self._gas = gas
         self._topic, _, self._field = gas.partition(".")
-        self.topics = {*TELEMETRY, *TIME_OF_DAY, self._topic}
+        self.topics = {*TELEMETRY, *TIME_OF_DAY, PARAMETER, self._topic}
         self._codec = Codec(1, mavlink.MAV_COMP_ID_AUTOPILOT1)
 
     def take(self, topic: str, fields: Fields) -> None:
@@ -161,6 +168,8 @@ class _Said:
             time_us = int(fields["TimeUS"] if "TimeUS" in fields else fields["timestamp"])
             if not 0 <= time_us < LATEST_US:
                 return
+            if topic == PARAMETER and fields["Name"] in OWN_IDS:
+                self._system = int(fields["Value"])
             if topic in TIME_OF_DAY and not self.utc_us:
                 self._set_clock(time_us, fields)
             time_ms = time_us // 1000 % WRAP_MS
@@ -168,11 +177,24 @@ class _Said:
                 self._add(time_us, _named(time_ms, self._gas, float(fields[self._field])))
             become, names = TELEMETRY.get(topic, (None, ()))
             if become and not fields.get("C"):  # ArduPilot runs several estimators: the first one
-                self._add(time_us, become(time_ms, *(fields[name] for name in names)))
+                message = become(time_ms, *(fields[name] for name in names))
+                self._add(time_us, message, (fields["Name"], fields["SSys"]) if topic == "NVAL" else None)
 
-    def _add(self, time_us: int, message: Message | None) -> None:
+    def own_frames(self) -> list[tuple[int, bytes]]:
+        """Return the frames without values that another vehicle sent, where several say the same name."""
+        senders: dict[str, Counter[int]] = defaultdict(Counter)
+        for _, _, heard in self.frames:
+            if heard:
+                senders[heard[0]][heard[1]] += 1
+        own = {
+            (name, self._system if self._system in counts else counts.most_common(1)[0][0])
+            for name, counts in senders.items()
+        }
+        return [(us, frame) for us, frame, heard in self.frames if heard is None or heard in own]
+
+    def _add(self, time_us: int, message: Message | None, heard: tuple[str, int] | None = None) -> None:
         if message is not None:
-            self.frames.append((time_us, self._codec.pack(message)))
+            self.frames.append((time_us, self._codec.pack(message), heard))
 
     def _set_clock(self, time_us: int, fields: Fields) -> None:
         utc_us = int(fields.get("time_utc_usec", 0))

@@ -57,7 +57,7 @@ class Dataflash:
         return path
 
 
-def flown(north: float = 1.0, late_us: int = 0) -> Dataflash:
+def flown(north: float = 1.0, late_us: int = 0, system: int = 1, other_every: int = 0) -> Dataflash:
     """It arms at 12 s and flies east at 1 m/s from (`north`, 0), north and east of home, 5 m up."""
     log = Dataflash()
     log.define("GPS", "QBIH", "TimeUS,Status,GMS,GWk")
@@ -77,11 +77,13 @@ def flown(north: float = 1.0, late_us: int = 0) -> Dataflash:
         if n == 10:
             log.say("ARM", us, 1)
         log.say("POS", us, *e7(north, 0.2 * n), 493.0, 5.0)
+        if other_every and n % other_every == 0:  # what another vehicle sends
+            log.say("NVAL", us + 50_000, us // 1000 - 3_000, "gas", 99.0, 3 - system, 191)
         if n % 5 == 0:
             log.say("XKF2", us, 0, 1.5, -2.0)
             log.say("XKF2", us, 1, 9.0, 9.0)  # another core
-            log.say("NVAL", us + 100_000, us // 1000 + 50, "gas", n / 5 + 0.25, 1, 191)
-            log.say("NVAL", us + 110_000, us // 1000 + 50, "gas", n / 5 + 0.25, 1, 191)  # said again
+            log.say("NVAL", us + 100_000, us // 1000 + 50, "gas", n / 5 + 0.25, system, 191)
+            log.say("NVAL", us + 110_000, us // 1000 + 50, "gas", n / 5 + 0.25, system, 191)  # said again
             log.say("GASX", us + 100_000, 100.0 * n)
     return log
 

@@ -44,6 +44,24 @@ def test_any_field_of_a_dataflash_log_may_be_the_gas(tmp_path: Path) -> None:
         read(flown().write(tmp_path), gas="RFND.Dist")
 
 
+@pytest.mark.parametrize("own", [1, 2, None])
+def test_values_of_another_vehicle_with_the_same_name_do_not_count(tmp_path: Path, own: int | None) -> None:
+    """A vehicle logs what it receives, also from others in its network. Its own id is a parameter; where that
+    is not logged, the system that sends more counts.
+    """
+    every = 1 if own else 10  # messages
+    log = flown(system=own or 1, other_every=every)
+    log.define("PARM", "QNf", "TimeUS,Name,Value")
+    if own:
+        log.say("PARM", 30_000_000, "SYSID_THISMAV", float(own))
+    said = readings(read(log.write(tmp_path), origin=(0.0, 0.0)))
+    assert [reading.gas for reading in said] == [n + 2.25 for n in range(19)]
+    assert any(
+        f"messages, {1 + 100 // every} values of other systems with the same name left out" in note
+        for note in read(log.write(tmp_path)).notes
+    )
+
+
 def test_damage_of_a_dataflash_log_costs_nothing_but_itself(tmp_path: Path) -> None:
     log = flown()
     clean = readings(read(log.write(tmp_path)))
