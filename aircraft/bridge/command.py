@@ -57,11 +57,7 @@ def run(args: argparse.Namespace) -> int:
         # Before it says that it is there; no KeyboardInterrupt, which could strike within a frame.
         on_end(lambda _: bridge.end())
         bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
-        if fleet := bus.fleet():
-            bus.log.warning(
-                f"{args.namespace} is a search by several, {', '.join(fleet)}; "
-                f"--namespace {args.namespace}/{fleet[0]} joins one"
-            )
+        bus.tell_fleet()
         for address in addresses:
             bus.log.info(f"{address.text}: {address.other_side}")
             if (risk := address.risk("command the vehicle")) and not args.sign:

@@ -64,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
             f"{args.namespace} at {args.connect} is {ros.node.namespace} in ROS domain {domain}, as "
             f"{args.distro} has it; {obeys}"
         )
+        bus.tell_fleet()
         bus.publish_health()
         ros.run()
     return 0

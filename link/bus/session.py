@@ -386,6 +386,24 @@ class Bus:
         parts = {part_of(reply.ok.key_expr) for reply in tokens if reply.ok is not None}
         return sorted(part for part in parts if part.startswith(OF_VEHICLE))
 
+    def tell_fleet(self) -> None:
+        """Say once that vehicles search together in the namespace: who is for one vehicle hears none of them.
+
+        It is said as soon as one is there, now or later.
+        """
+        told = threading.Event()
+
+        def changed(sample: zenoh.Sample) -> None:
+            if vehicle_of(sample.key_expr) and not told.is_set():
+                told.set()
+                space, part = self._namespace, part_of(sample.key_expr)
+                self.log.warning(f"{space} is a search by several; --namespace {space}/{part} joins one")
+
+        tokens = f"{OF_VEHICLE}*/{HEALTH.named('uav')}"
+        self._hold(
+            "fleet", lambda session: session.liveliness().declare_subscriber(tokens, changed, history=True)
+        )
+
     def vehicles(self) -> set[str]:
         """Return the namespaces in which services are present; only without a namespace of our own.
 

@@ -259,6 +259,24 @@ def test_a_second_one_for_the_same_vehicle_is_refused(start, router: str) -> Non
     assert second.err == ["error: another ros2 is already on uav/1\n"]
 
 
+@pytest.mark.parametrize("late", [False, True])
+def test_of_a_search_by_several_it_says_how_it_shows_one_vehicle(
+    start, router: str, stack: ExitStack, late: bool
+) -> None:
+    def search() -> None:
+        for number in (2, 3):
+            stack.enter_context(Bus("uav", router, "search/1", vehicles=(number,)))
+
+    if not late:
+        search()
+    ros = start("sitl", "ros2", "--connect", router, "--namespace", "search/1")
+    ros.comes_to("is /search_1 in ROS domain 0")
+    if late:
+        assert not ros.says("is a search by several")
+        search()
+    ros.comes_to("search/1 is a search by several; --namespace search/1/uav/")
+
+
 @pytest.mark.parametrize(
     ("words", "environment", "told"),
     [
