@@ -16,6 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import Frame
 
 from ground.view.access import AccessRules
 
@@ -129,9 +130,24 @@ class Guest(H11Protocol):
 
 
 class PageSocket(WebSocketsSansIOProtocol):
-    """A connection that has become a page, and waits again once that is closed."""
+    """A connection that has become a page, and waits again once that is closed.
+
+    What a client can make it keep is bounded: answers that are not read, and pieces of a message.
+    """
 
     waiting_since = 0.0
+
+    def handle_ping(self) -> None:
+        """Answer, but not a client that has left so much unread: one answer to several pings is enough."""
+        if self.writable.is_set():
+            super().handle_ping()
+        else:
+            self.conn.data_to_send()
+
+    def handle_cont(self, event: Frame) -> None:
+        """Take a piece of a message; ws_max_size bounds its bytes, and so the pieces that are not empty."""
+        if event.data or event.fin:
+            super().handle_cont(event)
 
     async def run_asgi(self) -> None:
         """Serve it. What it has not read soon after it was closed, it will not read."""
