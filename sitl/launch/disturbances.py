@@ -30,15 +30,16 @@ class Disturbances:
 
         leave_out: orders that a vehicle leaves the search, with who says so.  start: starts one that joins.
         """
-        self._to_come = [event for event in events if isinstance(event, Kill | Cut | Exclude | Late)]
+        # The events that have not happened yet.
+        self.to_come = [event for event in events if isinstance(event, Kill | Cut | Exclude | Late)]
         self._processes, self._relays, self._watchdog = processes, relays, watchdog
         self._say, self._leave_out, self._start = say, leave_out, start
         self._mends: list[tuple[float, Kill | Cut]] = []  # by the time of each restart or restored link
 
     def reached(self, step: int, time_s: float) -> None:
         """Perform the events that are due at a step and a simulation time."""
-        for event in [event for event in self._to_come if _due(event, step, time_s)]:
-            self._to_come.remove(event)
+        for event in [event for event in self.to_come if _due(event, step, time_s)]:
+            self.to_come.remove(event)
             if isinstance(event, Exclude):
                 self._say(f"script: uav/{event.vehicle} is left out at step {step}")
                 self._leave_out(event.vehicle, "left out by the script")

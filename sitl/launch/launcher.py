@@ -510,10 +510,14 @@ class MissionWatch:
             self._progress.say(f"warning: {lost}: of these the trace has the readings")
         for number, event in enumerate(script.events):
             if event.step is not None and event.step > last.step:
-                self._progress.say(
-                    f"warning: events[{number}] of step {event.step} did not happen: "
-                    f"the search ended at step {last.step}"
-                )
+                when = f"step {event.step}"
+            elif event.step is None and any(event is each for each in self._disturbances.to_come):
+                when = f"time {event.time_s:g} s"
+            else:
+                continue
+            self._progress.say(
+                f"warning: events[{number}] of {when} did not happen: the search ended at step {last.step}"
+            )
         result = outcome(
             script.seed,
             script.agent.policy,
