@@ -38,7 +38,6 @@ EXTRAS = {
 }
 """Extras of users, and the code that may import what they bring."""
 NOT_IMPORTED = {
-    "websockets": "uvicorn speaks WebSocket with it",
     "tensorboard": "stable-baselines3 writes its curves with it",
     "joblib": "the benchmarks' peer `particles` needs it",
     "scikit-learn": "the same",
