@@ -712,7 +712,7 @@ for path in sys.argv[1:]:
 def test_flying_a_bundle_needs_nothing_that_training_needs(tmp_path: Path) -> None:
     a_bundle(tmp_path / "policy.zip", "polar", Headings(16))
     ended = subprocess.run(
-        [sys.executable, "-c", FLY, str(tmp_path / "policy.zip")], capture_output=True, text=True, timeout=100
+        [sys.executable, "-c", FLY, str(tmp_path / "policy.zip")], capture_output=True, text=True, timeout=400
     )
     assert (ended.returncode, ended.stdout) == (0, "10\n"), ended.stderr
 
@@ -723,6 +723,6 @@ def test_flying_a_bundle_unpickles_and_executes_nothing(tmp_path: Path) -> None:
     for path in bundles:
         a_bundle(Path(path), "polar", HeadingAndStep())
     ended = subprocess.run(
-        [sys.executable, "-c", LOAD, *bundles], capture_output=True, text=True, timeout=100
+        [sys.executable, "-c", LOAD, *bundles], capture_output=True, text=True, timeout=400
     )
     assert (ended.returncode, ended.stdout) == (0, "flown\nflown\n"), ended.stderr

@@ -138,6 +138,6 @@ def test_as_a_process_it_prints_where_it_listens() -> None:
 @pytest.mark.parametrize("arguments", [("--listen", "smoke"), ("--fault", "gone"), ("--speedup", "0")])
 def test_wrong_arguments_are_refused_with_one_line(arguments: tuple[str, ...]) -> None:
     command = [sys.executable, "-m", "tests.autopilots", "px4", "--listen", "tcp:127.0.0.1:0", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=400)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1

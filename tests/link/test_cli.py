@@ -60,7 +60,7 @@ COMMANDS = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "named"), COMMANDS, ids=lambda value: " ".join(value))
 def test_bad_input_is_one_clear_line_and_status_2(arguments: list[str], named: list[str]) -> None:
-    ended = subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=60)
+    ended = subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=400)
     assert (ended.returncode, ended.stdout) == (2, "")
     said = [
         line for line in ended.stderr.splitlines() if not line.startswith("waiting for")
@@ -85,7 +85,7 @@ def test_bad_input_is_one_clear_line_and_status_2(arguments: list[str], named: l
 )
 def test_every_command_explains_itself(arguments: list[str]) -> None:
     ended = subprocess.run(
-        [sys.executable, "-m", *arguments, "--help"], capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", *arguments, "--help"], capture_output=True, text=True, timeout=400
     )
     assert ended.returncode == 0
     assert "usage: python -m " + " ".join(arguments) in " ".join(ended.stdout.split())
@@ -128,7 +128,7 @@ def test_an_interrupt_while_a_session_opens_ends_the_command() -> None:
     router, endpoint = open_router("tcp/127.0.0.1:0")
     try:
         ended = subprocess.run(
-            [sys.executable, "-c", OPENING, endpoint], capture_output=True, text=True, timeout=30
+            [sys.executable, "-c", OPENING, endpoint], capture_output=True, text=True, timeout=400
         )
     finally:
         router.close()  # type: ignore[no-untyped-call]
@@ -150,7 +150,7 @@ cli.leave = twice
 cli.run(lambda: os.kill(os.getpid(), signal.SIGTERM))
 """
     ran = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=400, check=False
     )
     assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "")
 
@@ -165,7 +165,7 @@ def full():
 cli.run(full)
 """
     ran = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=400, check=False
     )
     assert (ran.returncode, ran.stdout, ran.stderr) == (1, "", f"error: {os.strerror(number)}\n")
 
@@ -203,7 +203,7 @@ def test_a_part_ends_with_its_launcher_however_often_the_signal_is_lost(lost: in
     with launcher:
         assert launcher.stdout.readline() == "begun\n"
         launcher.kill()
-        assert launcher.communicate(timeout=30) == ("", None)  # the part, which has its stdout, has ended
+        assert launcher.communicate(timeout=400) == ("", None)  # the part, which has its stdout, has ended
 
 
 def test_what_comes_within_an_uninterrupted_block_is_told_there_and_interrupts_at_its_end() -> None:

@@ -218,7 +218,7 @@ def test_the_commands_of_the_compose_file_fly_a_mission(
         return part
 
     try:
-        assert start("certs", "").wait(60) == 0
+        assert start("certs", "").wait(400) == 0
         router = start("router", "", "--listen", "tls/127.0.0.1:0")
         assert router.stdout
         endpoint = router.stdout.readline().strip()
@@ -242,7 +242,7 @@ def test_the_commands_of_the_compose_file_fly_a_mission(
             text=True,
             cwd=tmp_path,
             env=environment,
-            timeout=100,
+            timeout=400,
         )
         assert flown.returncode == 0, flown.stderr
         assert json.loads(flown.stdout.splitlines()[-1])["located"] is True
@@ -250,7 +250,7 @@ def test_the_commands_of_the_compose_file_fly_a_mission(
         for part in running:
             part.terminate()
         for part in running:
-            part.communicate(timeout=20)
+            part.communicate(timeout=400)
     listening.join(10)
     joined = {match[1] for line in said if (match := re.search(r'event="(\S+) joins from', line))}
     assert joined >= {"uav/1/estimator", "uav/1/agent", "uav/1/vehicle", "operator", "observer"}

@@ -73,7 +73,7 @@ def flown(folder: Path, mission: Path | str, *flags: str) -> Flown:
     if isinstance(mission, str):
         script.write_text(mission)
     part = Part("sitl", "fly", str(script), "--speedup", "0", "--json", "--trace", *flags, cwd=folder)
-    status = part.ended(timeout_s=100)
+    status = part.ended()
     assert part.out, part.err
     (record,) = (folder / "runs").glob("*.mcap")
     return Flown(status, json.loads(part.out[-1]), part.err, read(record), script)

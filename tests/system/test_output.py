@@ -45,7 +45,7 @@ def ended(*arguments: str, cwd: Path, **streams: object) -> subprocess.Completed
         [sys.executable, "-m", *arguments],
         text=True,
         cwd=cwd,
-        timeout=100,
+        timeout=400,
         **{"stderr": subprocess.PIPE, **streams},
     )
 
@@ -72,7 +72,7 @@ def test_a_reader_who_leaves_ends_a_command_quietly(
     )
     assert process.stdout is not None
     process.stdout.close()
-    _, err = process.communicate(timeout=100)
+    _, err = process.communicate(timeout=400)
     assert process.returncode == 141, err  # 128 + SIGPIPE
     assert "Traceback" not in err
     assert "BrokenPipeError" not in err
@@ -85,7 +85,7 @@ def test_a_reader_who_leaves_stderr_and_stdout_ends_a_command_as_well(tmp_path: 
     )
     assert process.stdout is not None
     process.stdout.close()
-    assert process.wait(100) == 141
+    assert process.wait(400) == 141
 
 
 @pytest.mark.parametrize(

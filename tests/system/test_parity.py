@@ -22,7 +22,7 @@ def flown(folder: Path, *command: str) -> dict:
         capture_output=True,
         text=True,
         cwd=folder,
-        timeout=120,
+        timeout=400,
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])

@@ -86,7 +86,7 @@ def test_a_part_whose_thread_dies_ends_with_one_line_that_says_which_and_why(
     router: str, thread: str
 ) -> None:
     program = f"{COMMON}{PARTS[thread]}\ncli.run(command)"
-    ran = subprocess.run([sys.executable, "-c", program, router], capture_output=True, text=True, timeout=120)
+    ran = subprocess.run([sys.executable, "-c", program, router], capture_output=True, text=True, timeout=400)
     assert ran.returncode == 1
     (line,) = ran.stderr.splitlines()
     assert line.startswith(
@@ -113,5 +113,5 @@ cli.run(command)
 
 
 def test_a_part_that_misses_the_first_signal_ends_with_the_next() -> None:
-    ran = subprocess.run([sys.executable, "-c", MISSES], capture_output=True, text=True, timeout=120)
+    ran = subprocess.run([sys.executable, "-c", MISSES], capture_output=True, text=True, timeout=400)
     assert (ran.returncode, len(ran.stderr.splitlines())) == (1, 1)

@@ -198,7 +198,7 @@ def test_a_keeper_whose_uav_is_interrupted_at_the_start_says_nothing(url: str) -
             stdin=its,
             stdout=line,
             stderr=subprocess.PIPE,
-            timeout=60,
+            timeout=400,
         )
     assert (kept.returncode, kept.stderr) == (0, b"")
 

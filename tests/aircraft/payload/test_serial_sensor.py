@@ -241,5 +241,5 @@ def test_the_sensor_of_the_guide_takes_its_line_away_when_it_ends(number: int, t
         sensor.stdout.readline()
         assert (tmp_path / "gas-sensor").is_symlink()
         sensor.send_signal(number)
-        assert sensor.wait(30) == 0
+        assert sensor.wait(400) == 0
     assert not list(tmp_path.iterdir())

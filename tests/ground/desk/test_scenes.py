@@ -240,7 +240,7 @@ for chunk in McapReader(sys.argv[1]).stream():
 print(json.dumps(found))
 """
     ran = subprocess.run(
-        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=400, check=True
     )
     found = json.loads(ran.stdout)
     said = beliefs(flown.entries)

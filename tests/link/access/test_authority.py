@@ -135,7 +135,7 @@ def test_several_at_once_make_one_ca(tmp_path: Path) -> None:
         maker.stdin.write("\n")
         maker.stdin.flush()
     for maker in makers:
-        maker.communicate(timeout=60)
+        maker.communicate(timeout=400)
     assert [maker.returncode for maker in makers] == [0, 0, 0]
     assert not any(one.new for one in make(tmp_path / "new", [1, 2, 3]))  # which refuses those of another CA
 

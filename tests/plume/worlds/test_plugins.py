@@ -101,7 +101,7 @@ def test_a_mission_over_the_bus_follows_a_plug_in_to_the_bit(pulses: Path) -> No
             text=True,
             cwd=pulses,
             env=environment,
-            timeout=120,
+            timeout=400,
         )
         assert done.returncode == 0, done.stderr
         outs.append(json.loads(done.stdout.splitlines()[-1]))
