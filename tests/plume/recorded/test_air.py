@@ -256,5 +256,7 @@ def test_a_movie_is_flown_in_without_the_compiler(movie: Path) -> None:
         f"air = recorded(draw(1), 1, file={str(movie)!r}, **{TOLD})\n"
         "air(np.zeros((1, 3)), np.zeros(1)); print({'numba', 'h5py', 'numcodecs', 'scipy'} & set(sys.modules))"
     )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=400, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=400, check=True
+    )
     assert ran.stdout == "set()\n"
