@@ -8,7 +8,7 @@ from link.bus.messages import Belief
 from plume.problem import Problem
 from plume.sensors import names
 from plume.sensors.instruments import Instrument
-from plume.sensors.names import Sensor, fluctuates
+from plume.sensors.names import Sensor
 from plume.sensors.sensor import Gaussian, Hits, Threshold
 from scene.follow.described import problem_of
 
@@ -25,14 +25,12 @@ FIELD: Mapping[str, str] = {
     "puff-rate": "lognormal:100.0,2.0",
     "puff-share": "uniform:0.02,1.0",
 }
-OF_GAS = "cv", "puff-rate", "puff-share"
 SPIKES: Mapping[str, float] = {"paper": 0.0, "field": 0.05}
 MARGIN: Mapping[str, float] = {"paper": 0.0, "field": 1 / 3}
 # What the estimator takes to be told where no flag tells it.
 USUAL: Mapping[str, str] = {"rate": "300", "lifetime": "10"}
 # Of a log of a leak of which nothing is told: 1 kg/h, two thirds within a factor of 7.4.
 UNTOLD_RATE = "q=lognormal:0.28,2"
-REPLACED = {"u": "wind-speed", "phi": "wind-direction"}
 # What each parameter is, in words, and its unit.
 WORDS: Mapping[str, tuple[str, str]] = {
     "x": ("distance of the source east of home", "m"),
@@ -123,28 +121,13 @@ def told_of(last: Belief, about: dict[str, Any]) -> Told:
     rows = [
         _row(name, *given_or_usual, last, problem)
         for name in WORDS
-        if (given_or_usual := _prior(name, given, last, sensor, rate, lifetime))
+        if (given_or_usual := _prior(name, given, last, rate, lifetime))
     ]
     return Told(sensor, rows, margin, SPIKES.get(last.assume, 0.0))
 
 
-def field_priors(sensor: Sensor, rate: float, lifetime: float) -> dict[str, str]:
-    """Return the priors of `field` for a sensor, in the form of --prior after the name."""
-    return {
-        name: text.format(rate=rate, lifetime=lifetime)
-        for name, text in FIELD.items()
-        if not (name == "noise" and isinstance(sensor, Hits))
-        and not (name in OF_GAS and not fluctuates(sensor))
-    }
-
-
 def _prior(
-    name: str,
-    given: Mapping[str, str],
-    last: Belief,
-    sensor: Sensor | None,
-    rate: str,
-    lifetime: str,
+    name: str, given: Mapping[str, str], last: Belief, rate: str, lifetime: str
 ) -> tuple[str, bool] | None:
     """Return the text of a parameter's prior and whether it was given; None if it has none."""
     if name in given:

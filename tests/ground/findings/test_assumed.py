@@ -10,7 +10,7 @@ from estimator.__main__ import main
 from estimator.assumptions import effective_priors
 from estimator.priors import text
 from ground.findings import assumed, verdict
-from ground.findings.assumed import FIELD, WORDS, field_priors, stop_text, told_of, unit_of
+from ground.findings.assumed import FIELD, WORDS, stop_text, told_of, unit_of
 from ground.replay.source import table
 from plume.parameters import PARAMETERS
 from plume.sensors import names
@@ -24,14 +24,18 @@ LAWNMOWER = Path(__file__).parents[3] / "docs" / "examples" / "lawnmower.csv"
 def test_the_priors_of_field_are_the_estimators(sensor: names.Sensor) -> None:
     priors = effective_priors("field", {}, 250.0, 12.0, sensor)
     wanted = {name: text(name, prior).partition("=")[2] for name, prior in priors.items()}
-    assert field_priors(sensor, 250.0, 12.0) == wanted
+    assert {name: FIELD[name].format(rate=250.0, lifetime=12.0) for name in wanted} == wanted
+
+
+def test_no_prior_of_field_is_of_no_sensor() -> None:
+    of_some = [effective_priors("field", {}, 250.0, 12.0, sensor) for sensor in KINDS.values()]
+    assert set().union(*of_some) == set(FIELD)
 
 
 def test_limits_and_shares_are_the_estimators() -> None:
     assert (verdict.INCOMPATIBLE, verdict.CLEAR) == (belief.INCOMPATIBLE, belief.CLEAR)
     assert dict(assumed.SPIKES) == dict(assumptions.SPIKES)
     assert dict(assumed.MARGIN) == dict(assumptions.MARGIN)
-    assert dict(assumed.REPLACED) == dict(assumptions.REPLACED)
 
 
 def test_without_a_flag_rate_and_lifetime_are_the_estimators_own(capsys: pytest.CaptureFixture[str]) -> None:
