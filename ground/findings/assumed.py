@@ -106,9 +106,7 @@ def told_of(last: Belief, about: dict[str, Any]) -> Told:
         sensor = names.parse(last.sensor)
     except ValueError:
         sensor = None
-    parts = about.get("parts")
-    words = parts.get("estimator") if isinstance(parts, dict) else None
-    flags = _flags(words if isinstance(words, list) else [])
+    flags = _flags(_words(about))
     usual = USUAL if flags else {}
     single = {**usual, **{name: values[-1] for name, values in flags.items()}}
     problem = problem_of(about)
@@ -165,11 +163,11 @@ def _number(text: str | None) -> float | None:
         return None
 
 
-def _flags(words: Sequence[Any]) -> dict[str, list[str]]:
+def _flags(words: Sequence[str]) -> dict[str, list[str]]:
     """Return the values of the flags of a command line, by name."""
     found: dict[str, list[str]] = {}
     name = ""
-    for word in map(str, words):
+    for word in words:
         if word.startswith("--"):
             name, equals, value = word[2:].partition("=")
             found.setdefault(name, [])
@@ -182,9 +180,13 @@ def _flags(words: Sequence[Any]) -> dict[str, list[str]]:
 
 def command_line(about: Mapping[str, Any]) -> str:
     """Return the estimator's flags as a record has them; empty if it has none."""
+    return shlex.join(_words(about))
+
+
+def _words(about: Mapping[str, Any]) -> list[str]:
     parts = about.get("parts")
     words = parts.get("estimator") if isinstance(parts, dict) else None
-    return shlex.join(map(str, words)) if isinstance(words, list) else ""
+    return [*map(str, words)] if isinstance(words, list) else []
 
 
 def calibration(sensor: Sensor) -> dict[str, float]:
