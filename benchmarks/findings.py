@@ -188,7 +188,6 @@ def flown_in_clean_air(seed: int) -> Flight:
         estimator_warned=[],
         remark="",
         is_damaged=False,
-        budget=NOWHERE_STEPS,
     )
 
 

@@ -75,7 +75,6 @@ class Flight(NamedTuple):
     estimator_warned: list[Remark]  # those of the estimator: of stops that would not be honest
     remark: str  # what the record itself lacks, after its name; empty if it is whole
     is_damaged: bool  # pieces of the record are missing
-    budget: int | None
 
     @property
     def read_text(self) -> str:
@@ -168,7 +167,6 @@ def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = Non
     )
     one_a_second = {(it.utc_ns // NS, it.who, it.text): it for it in said}.values()
     warnings = sorted(one_a_second, key=lambda it: it.utc_ns)
-    budget = recording.about.get("budget")
     return Flight(
         path=path,
         sha256=sha256_of(path),
@@ -188,7 +186,6 @@ def gathered(recording: Recording, path: Path, *, replayed_at: Home | None = Non
         estimator_warned=[it for it in warnings if it.who == "estimator"],
         remark=remark_on(recording, history),
         is_damaged=bool(recording.damage),
-        budget=budget if isinstance(budget, int) else None,
     )
 
 
