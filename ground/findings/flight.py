@@ -31,7 +31,6 @@ from scene.scene import ERROR, WARNING, Point
 
 Home = tuple[float, float]  # latitude and longitude, degrees, WGS84
 NS = 1_000_000_000
-CHUNK = 1 << 20
 OF_A_VEHICLE = ("uav", "search", "payload")  # who speaks for one vehicle, not for the search of several
 
 
@@ -100,17 +99,13 @@ class Flight(NamedTuple):
 
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file, in hexadecimal."""
-    found = hashlib.sha256()
     with path.open("rb") as file:
-        while chunk := file.read(CHUNK):
-            found.update(chunk)
-    return found.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def flight_of(path: Path) -> Flight | None:
     """Return what a record tells; None if it has no belief that can be read. Raises RecordError."""
-    recording = read(path)
-    return gathered(recording, path)
+    return gathered(read(path), path)
 
 
 def home_of(recording: Recording) -> tuple[Home | None, str]:
