@@ -100,8 +100,3 @@ def quantile_text(quantiles: tuple[float, float, float], unit: str = "") -> str:
     """Return a median with its 90% interval."""
     low, middle, high = quantiles
     return f"{significant(middle, 2)} ({significant(low, 2)} to {significant(high, 2)}){unit and ' ' + unit}"
-
-
-def metres(value: float, half_m: float) -> str:
-    """Return a coordinate in metres to the digits of how well it is known."""
-    return rounded(value, max(1 - math.floor(math.log10(half_m)), 0) if half_m > 0 else 2)
