@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from ground.findings.assumed import PriorRow, Told, calibration, command_line, stop_text, told_of, unit_of
+from ground.findings.assumed import Told, calibration, command_line, stop_text, told_of, unit_of
 from ground.findings.flight import Flight, FlownReading
 from ground.findings.numbers import utc
 from ground.findings.region import Contour95, Ellipse95, contour_95, ellipse_95, places_of, scale_of
@@ -189,14 +189,14 @@ def _believed_from(flight: Flight, measured_deg: float) -> Ranged | None:
     last = flight.last
     if "wind-direction" in last.unknowns:  # counter-clockwise, which a compass counts down
         it = _ranged("wind-direction", last.means[last.unknowns.index("wind-direction")], flight)
-        base, sign = measured_deg, -1.0
+        base = measured_deg
     elif "phi" in last.unknowns:
         it = _ranged("phi", last.means[last.unknowns.index("phi")], flight).times(180 / math.pi)
-        base, sign = 90.0, -1.0
+        base = 90.0
     else:
         return None
     low, high = (0.0 if end is None else end for end in (it.low, it.high))
-    return Ranged(base + sign * it.value, base + sign * high, base + sign * low)
+    return Ranged(base - it.value, base - high, base - low)
 
 
 # ---- as JSON ----
@@ -267,7 +267,7 @@ def as_json(it: Findings) -> dict[str, Any]:
         },
         "assume": last.assume,
         "stop": {"criterion": last.stop, "words": stop_text(last.stop), "met": last.ceased},
-        "priors": [_prior(row) for row in it.told.priors],
+        "priors": [row._asdict() for row in it.told.priors],
         "margin_m": it.told.margin_m,
         "estimator_flags": command_line(about),
         "area": {"low_m": it.area.low, "high_m": it.area.high},
@@ -340,7 +340,3 @@ def _ends(it: Ranged) -> list[float] | None:
 
 def _json(it: Ranged | None) -> dict[str, Any] | None:
     return None if it is None else {"value": it.value, "interval_95": _ends(it)}
-
-
-def _prior(row: PriorRow) -> dict[str, Any]:
-    return {**row._asdict(), "given": row.given}
