@@ -6,7 +6,7 @@ from html import escape
 from ground.findings.assumed import calibration, stop_text
 from ground.findings.background import Background
 from ground.findings.chart import near_map, rates_map, whole_map
-from ground.findings.figures import Findings, Ranged, as_json, simulated_source
+from ground.findings.figures import Findings, as_json, simulated_source
 from ground.findings.flight import Flight
 from ground.findings.numbers import degree_decimals, rounded, significant, utc
 from ground.findings.unseen import METHOD
@@ -142,7 +142,7 @@ def _glance(it: Findings) -> list[tuple[str, str]]:
     height = "as told"
     if it.last.z == it.last.altitude_m:
         height = f"taken to be that of the {'end of the path' if it.path_m else 'flight'}"
-    rows = [
+    return [
         (place_name(it), place_text(it)),
         (
             "From home",
@@ -162,7 +162,6 @@ def _glance(it: Findings) -> list[tuple[str, str]]:
         if "d" not in it.last.unknowns
         else ("Diffusivity", f"{significant(it.last.diffusivity)} m²/s, estimated"),
     ]
-    return rows
 
 
 def _metres(value: float, half_m: float) -> str:
@@ -227,7 +226,10 @@ def _air(it: Findings) -> list[tuple[str, str]]:
             f"{wind.speed_mps:.2f} m/s from {compass(wind.from_deg)}; standard deviation over the readings "
             f"{wind.speed_std_mps:.2f} m/s and {wind.from_std_deg:.1f}°",
         ),
-        ("Speed that was believed", _believed(wind.believed_speed, "m/s")),
+        (
+            "Speed that was believed",
+            "the measured one" if wind.believed_speed is None else ranged_text(wind.believed_speed, "m/s"),
+        ),
         (
             "Direction that was believed",
             "the measured one"
@@ -261,10 +263,6 @@ def _air(it: Findings) -> list[tuple[str, str]]:
     else:
         rows.append(("Lifetime of the gas", f"{significant(it.last.lifetime)} s, as told"))
     return rows
-
-
-def _believed(it: Ranged | None, unit: str) -> str:
-    return "the measured one" if it is None else ranged_text(it, unit)
 
 
 def _assumed(it: Findings) -> str:
