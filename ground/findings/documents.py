@@ -21,7 +21,7 @@ DOCUMENTS: Mapping[str, Callable[[Findings], str]] = {
 }
 
 
-def write(it: Findings, folder: Path, background: Background | None = None) -> list[Path]:
+def write(it: Findings, folder: Path, background: Background | None = None) -> None:
     """Write all documents into a folder, or none. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = {
@@ -31,4 +31,3 @@ def write(it: Findings, folder: Path, background: Background | None = None) -> l
         for name, text in texts.items():
             partial = stack.enter_context(whole(folder / name))
             partial.write_text(text, encoding="utf-8", newline="\n")
-    return [folder / name for name in texts]

@@ -210,11 +210,11 @@ def test_the_page_needs_nothing_from_elsewhere(found: Findings) -> None:
 
 
 def test_all_documents_are_written_whole_and_the_same_twice(found: Findings, tmp_path: Path) -> None:
-    first = write(replace(found, made_ns=0), tmp_path / "one")
-    second = write(replace(found, made_ns=0), tmp_path / "two")
-    assert [path.name for path in first] == list(DOCUMENTS)
-    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
-    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == sorted(DOCUMENTS)
+    one, two = tmp_path / "one", tmp_path / "two"
+    for folder in (one, two):
+        write(replace(found, made_ns=0), folder)
+    assert sorted(path.name for path in one.iterdir()) == sorted(DOCUMENTS)
+    assert all((one / name).read_bytes() == (two / name).read_bytes() for name in DOCUMENTS)
 
 
 def test_where_nothing_was_found_no_document_calls_a_place_the_source(tmp_path: Path) -> None:
