@@ -360,8 +360,3 @@ def spread_over(times_s: Floats, values: Floats, age_s: float) -> Floats:
     filled: Floats = values[last].copy()
     filled[np.abs(times_s - times_s[last]) > age_s] = math.nan
     return filled
-
-
-def text_of(columns: Columns) -> str:
-    """Return columns as `--columns` takes them."""
-    return ",".join(f"{name}={column.text()}" for name, column in columns.items())
