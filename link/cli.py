@@ -459,6 +459,21 @@ def unwritable(flag: str, paths: Iterable[Path], force: bool) -> str | None:
     return None
 
 
+def make_folder(flag: str, folder: Path, names: Iterable[str], force: bool) -> None:
+    """Make a folder for files of these names; BadInput if they cannot be written, or would replace others."""
+    if folder.exists() and not folder.is_dir():
+        raise BadInput(f"{flag}: {str(folder)!r} is not a folder")
+    paths = [folder / name for name in names]
+    if reason := existing(flag, paths, force):
+        raise BadInput(reason)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"{flag}: {str(folder)!r} cannot be made: {error.strerror}") from None
+    if reason := unwritable(flag, paths, force=True):
+        raise BadInput(reason)
+
+
 def run(command: Callable[[], int | None]) -> NoReturn:
     """Run a command and exit with its status.
 

@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         raise cli.BadInput(f"{args.log} has no belief that can be read: there was no search")
     picture = _background(args, flight)
     folder = args.out or args.log.with_name(f"{args.log.stem}-findings")
-    refuse(folder, args.force)
+    cli.make_folder("--out", folder, DOCUMENTS, args.force)
     it = findings_of(flight)
     results = sys.stderr if args.json else sys.stdout
     save(it, folder, picture)
@@ -91,21 +91,6 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(json.loads(figures_json(it))))
     return cli.FAILED if flight.is_damaged else 0
-
-
-def refuse(folder: Path, force: bool, flag: str = "--out") -> None:
-    """Raise BadInput if the documents cannot be written into a folder, or would replace others."""
-    if folder.exists() and not folder.is_dir():
-        raise cli.BadInput(f"{flag}: {str(folder)!r} is not a folder")
-    paths = [folder / name for name in DOCUMENTS]
-    if reason := cli.existing(flag, paths, force):
-        raise cli.BadInput(reason)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise cli.BadInput(f"{flag}: {str(folder)!r} cannot be made: {error.strerror}") from None
-    if reason := cli.unwritable(flag, paths, force=True):
-        raise cli.BadInput(reason)
 
 
 def save(it: Findings, folder: Path, picture: Background | None = None) -> None:

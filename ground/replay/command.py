@@ -11,7 +11,8 @@ from functools import partial
 
 import msgspec
 
-from ground.findings.command import refuse, save
+from ground.findings.command import save
+from ground.findings.documents import DOCUMENTS
 from ground.findings.figures import findings_of
 from ground.findings.flight import gathered, home_of
 from ground.findings.page import sentence
@@ -233,7 +234,7 @@ def run(args: argparse.Namespace) -> int:
             raise cli.BadInput(
                 f"--findings: {args.log} is a record: plumeward findings {args.log} writes them"
             )
-        refuse(args.findings, args.force, "--findings")
+        cli.make_folder("--findings", args.findings, DOCUMENTS, args.force)
     for note in source.notes:
         tell(f"replay: {note}")
     try:

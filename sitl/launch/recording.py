@@ -99,17 +99,7 @@ def check_findings(folder: Path, force: bool, *, has_record: bool) -> None:
     """Raise BadInput if findings cannot be written into a folder, before the flight."""
     if not has_record:
         raise cli.BadInput("--findings: not with --no-record: findings are made of the record")
-    if folder.exists() and not folder.is_dir():
-        raise cli.BadInput(f"--findings: {str(folder)!r} is not a folder")
-    paths = [folder / name for name in FINDINGS]
-    if reason := cli.existing("--findings", paths, force):
-        raise cli.BadInput(reason)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise cli.BadInput(f"--findings: {str(folder)!r} cannot be made: {error.strerror}") from None
-    if reason := cli.unwritable("--findings", paths, force=True):
-        raise cli.BadInput(reason)
+    cli.make_folder("--findings", folder, FINDINGS, force)
 
 
 def write_findings(record: Path, folder: Path, to: TextIO) -> bool:
