@@ -164,7 +164,7 @@ def not_allowed(value: object, known: Iterable[str], wanted: str) -> str:
     return f"{value!r} is not allowed{f'{near} Wanted' if near else '; wanted'} {wanted}"
 
 
-def completed(action: argparse.Action, names: Callable[[], Iterable[str]], *endings: str) -> argparse.Action:
+def completed(action: argparse.Action, names: Callable[[], Iterable[str]], *endings: str) -> None:
     """Let a shell complete an argument by names and by files with these endings.
 
     In a list with commas it completes the last item.
@@ -178,7 +178,6 @@ def completed(action: argparse.Action, names: Callable[[], Iterable[str]], *endi
         return [f"{before}{comma}{name}" for name in (*names(), *files) if name.startswith(last)]
 
     action.completer = complete  # type: ignore[attr-defined]
-    return action
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
