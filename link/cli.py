@@ -294,7 +294,14 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
         metavar="N",
         help=f"particles of the filter{more} (default: 1000)",
     )
-    add_assume_argument(parser, "field")
+    parser.add_argument(
+        "--assume",
+        choices=ASSUMPTIONS,
+        default="field",
+        help="what the estimator takes to be known. paper: all but the position x, y; field: wind, release "
+        "rate, lifetime, noise and "
+        "intermittency only roughly (default: %(default)s)",
+    )
     stop = parser.add_mutually_exclusive_group()
     stop.add_argument(
         "--threshold",
@@ -337,18 +344,6 @@ def add_doubted_argument(parser: argparse.ArgumentParser) -> None:
         default="name",
         help="of several vehicles, name one whose sensor seems to lie, or also leave it out of the search "
         "(default: %(default)s)",
-    )
-
-
-def add_assume_argument(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add the flag that chooses what the estimator takes to be known."""
-    parser.add_argument(
-        "--assume",
-        choices=ASSUMPTIONS,
-        default=default,
-        help="what the estimator takes to be known. paper: all but the position x, y; field: wind, release "
-        "rate, lifetime, noise and "
-        "intermittency only roughly (default: %(default)s)",
     )
 
 
