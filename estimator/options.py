@@ -20,7 +20,7 @@ TRIED = 1000  # values that are drawn of a prior before it is taken: a service t
 
 
 def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the flag that chooses the sensor that the estimator assumes."""
+    """Add the flags that say which sensor the estimator assumes, and how long the vehicle hovers for it."""
     kind = parser.add_argument(
         "--sensor",
         type=cli.checked(sensor.parse, sensor.KINDS),
@@ -29,11 +29,6 @@ def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
         "threshold:0.5,0.3 or pid:drift=0 (default: the problem's, gaussian)",
     )
     cli.completed(kind, lambda: sensor.KINDS)
-    add_dwell_argument(parser)
-
-
-def add_dwell_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the flag that says how long the vehicle hovers for a reading."""
     parser.add_argument(
         "--dwell",
         type=cli.number(0, sensor.LONGEST_DWELL_S),
