@@ -173,7 +173,7 @@ def best_path(scenario: Scenario, steps: int, effort: Effort = Effort()) -> tupl
 
 
 def floors_m(
-    scenario: Scenario, thresholds_m: Sequence[float], effort: Effort = Effort(), budget: int = BUDGET_STEPS
+    scenario: Scenario, thresholds_m: Sequence[float], budget: int = BUDGET_STEPS
 ) -> dict[float, float]:
     """Length of the shortest path found after which the spread can be below each ζ, m.
 
@@ -185,7 +185,7 @@ def floors_m(
     for threshold_m in sorted(thresholds_m, reverse=True):  # a smaller ζ needs at least as many steps
 
         def reaches(steps: int, threshold_m: float = threshold_m) -> bool:
-            return spread_m(scenario, best_path(scenario, steps, effort)) < threshold_m
+            return spread_m(scenario, best_path(scenario, steps)) < threshold_m
 
         while not result and steps > 0 and reaches(steps - 1):
             steps -= 1
