@@ -424,9 +424,9 @@ def on_one_clock(recording: Recording) -> list[Entry]:
     return entries
 
 
-def history_of(recording: Recording, vehicle: str = "") -> History:
+def history_of(recording: Recording) -> History:
     """Return all that a record tells of its first vehicle."""
-    return histories_of(recording, vehicle)[0]
+    return histories_of(recording)[0]
 
 
 def remark_on(recording: Recording, history: History) -> str:
