@@ -70,10 +70,10 @@ def quantiles(values: Floats, weights: Floats, shares: tuple[float, ...]) -> lis
     return [float(value) for value in values[order[found]]]
 
 
-def radius(scatter: Scatter, middle: tuple[float, float], share: float = SHARE) -> float:
-    """Return within which distance, m, of a place so much of the belief lies."""
+def radius(scatter: Scatter, middle: tuple[float, float]) -> float:
+    """Return within which distance, m, of a place `SHARE` of the belief lies."""
     away = np.hypot(*(scatter.places - np.array(middle)).T)  # in float64: a belief may say absurd things
-    return quantiles(away, scatter.weights, (share,))[0]
+    return quantiles(away, scatter.weights, (SHARE,))[0]
 
 
 @lru_cache(maxsize=64)
