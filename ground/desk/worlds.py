@@ -70,10 +70,10 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def looked_at(footage: Footage, most: int = FRAMES) -> Look:
+def looked_at(footage: Footage) -> Look:
     """Look at some frames, evenly from the first to the last. Raises ValueError on a broken file."""
     facts = footage.facts
-    frames = sorted({round(each) for each in np.linspace(0, facts.frames - 1, min(most, facts.frames))})
+    frames = sorted({round(each) for each in np.linspace(0, facts.frames - 1, min(FRAMES, facts.frames))})
     axes = [
         np.linspace(low + (high - low) / count / 2, high - (high - low) / count / 2, min(count, PLACES))
         for low, high, count in zip(facts.low[:2], facts.high[:2], facts.cells[:2], strict=True)
