@@ -28,8 +28,8 @@ class RoundTime:
         self.time_s = 0.0
         self._motion = speed_mps, accel_mps2
 
-    def go(self, places: Sequence[Place], numbers: Sequence[int] | None = None) -> float:
-        """Fly vehicles to their next places; returns the time of the readings there, s.
+    def go(self, places: Sequence[Place], numbers: Sequence[int] | None = None) -> None:
+        """Fly vehicles to their next places; `time_s` is then the time of the readings there.
 
         numbers: those of the vehicles, from 1, in their order; None: all. Those that have left stay behind.
         """
@@ -45,4 +45,3 @@ class RoundTime:
             self.time_s += TRY_AGAIN_S
         for vehicle, end in zip(flown, places, strict=True):
             self.places[vehicle] = end
-        return self.time_s
