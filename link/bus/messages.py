@@ -357,11 +357,6 @@ def by_number(belief: Belief) -> dict[int, Belief]:
     } or {1: belief}
 
 
-def by_vehicle(belief: Belief) -> list[Belief]:
-    """Return a belief as each vehicle of its round sees it: about its own reading."""
-    return [*by_number(belief).values()]
-
-
 def departure_text(left: Departure) -> str:
     """Return a departure in words."""
     forgotten = "; its readings no longer count" if left.forgotten and left.step else ""

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from link.bus.messages import Belief, by_vehicle
+from link.bus.messages import Belief, by_number
 from link.terminal import broken
 
 PLAIN_EVERY_STEPS = 10
@@ -56,7 +56,7 @@ class Progress:
 
     def show(self, belief: Belief, distance_m: float) -> None:
         """Show how far the search is."""
-        (mean_x, mean_y), seen = belief.mean, by_vehicle(belief)
+        (mean_x, mean_y), seen = belief.mean, by_number(belief).values()
         step = f"step {belief.step:3d}/{self._budget}"
         at = "at " + " ".join("({:5.2f}, {:5.2f})".format(*each.position) for each in seen)
         gas = "gas " + " ".join(f"{each.gas:z6.2f}" for each in seen)

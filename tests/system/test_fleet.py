@@ -30,7 +30,7 @@ from link.bus.messages import (
     Latecomer,
     RoundReading,
     Stop,
-    by_vehicle,
+    by_number,
     pack_particles,
 )
 from link.bus.session import Bus, part_of
@@ -401,7 +401,7 @@ class Watched:
         """Take what comes; returns the newest step."""
         item: Any = self.bus.receive(400.0)
         if item.key is BELIEF and (said := self.bus.decode(item, Belief)):
-            seen = [(each.position, each.gas, each.mean, each.spread) for each in by_vehicle(said)]
+            seen = [(each.position, each.gas, each.mean, each.spread) for each in by_number(said).values()]
             assert self.points.setdefault(said.step, seen) == seen  # a repeated belief is the same
             self.ceased = said.ceased
         elif item.key is STOP and (stop := self.bus.decode(item, Stop)):
