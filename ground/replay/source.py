@@ -285,7 +285,9 @@ def table(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -
 def _logged(path: Path, flown: LoggedFlight, filtering: Mapping[str, Any]) -> Source:
     """Return a logged flight for an estimator with the flags `filtering`."""
     notes = list(flown.notes)
-    estimator = _estimator(flown, {**filtering, **_sensing(flown, filtering, notes)})
+    # With the assumption: a record without one is an older one.
+    chosen = {"assume": "field", **filtering, **_sensing(flown, filtering, notes)}
+    estimator = settings.as_words({**chosen, "sysid": flown.system, "area": flown.area_m})
     lat, lon = flown.origin.lat_deg, flown.origin.lon_deg
     return Source(
         path,
@@ -321,11 +323,6 @@ def _problem(flown: LoggedFlight) -> Problem:
         return in_area(square(flown.area_m))
     except ValueError as error:
         raise BadInput(f"--area: {error}") from None
-
-
-def _estimator(flown: LoggedFlight, chosen: Mapping[str, Any]) -> list[str]:
-    """Return the flags of an estimator, with the assumption: a record without one is an older one."""
-    return settings.as_words({"assume": "field", **chosen, "sysid": flown.system, "area": flown.area_m})
 
 
 def find(args: argparse.Namespace) -> tuple[Source, Rules | None]:
