@@ -355,15 +355,13 @@ class Vehicle:
         self._enter(mode)
         return ACCEPTED
 
-    def setpoint(
-        self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, answers: bool = False
-    ) -> Result:
+    def setpoint(self, t_s: float, wanted: Ned | Setpoint, answers: bool = False) -> Result:
         """Take a waypoint or another setpoint: follow it in OFFBOARD, else remember it.
 
         answers: it answers a reading, so the vehicle arrives there even if it is there already.
         """
         self.catch_up(t_s)
-        setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted), yaw_rad=yaw_rad)
+        setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted))
         if refusal := setpoint.refusal(self.config, self._motion.position):
             return refusal
         new = answers or not setpoint.same_way(self.companion.setpoint)

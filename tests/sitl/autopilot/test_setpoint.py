@@ -184,7 +184,7 @@ def test_a_global_setpoint_is_taken_as_a_waypoint():
 
 def test_a_body_velocity_is_turned_by_the_yaw_that_the_vehicle_has_when_it_comes():
     vehicle = offboard()
-    vehicle.setpoint(10.0, (10.0, 10.0, -5.0), yaw_rad=EAST)
+    vehicle.setpoint(10.0, Setpoint((10.0, 10.0, -5.0), yaw_rad=EAST))
     vehicle.advance(30.0)
     message = local(mask(*VELOCITY), BODY_NED, v=(2.0, 0.0, 0.0))
     message.pack(mavlink.MAVLink(None, 245, 190))

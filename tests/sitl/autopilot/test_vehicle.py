@@ -124,7 +124,7 @@ def test_the_fence_is_exact(target):
 
 
 def test_a_waypoint_with_a_yaw_that_is_no_number_is_refused():
-    refused = offboard().setpoint(10.0, (1.0, 1.0, -5.0), yaw_rad=NAN)
+    refused = offboard().setpoint(10.0, Setpoint((1.0, 1.0, -5.0), yaw_rad=NAN))
     assert refused == (DENIED, "Waypoint refused: yaw nan is not finite", "not finite")
 
 
@@ -406,7 +406,7 @@ def test_a_keep_alive_starts_no_new_leg():
 
 def test_a_new_yaw_turns_without_a_new_leg():
     vehicle = offboard()
-    vehicle.setpoint(10.0, (0.0, 0.0, -5.0), yaw_rad=math.pi / 2)
+    vehicle.setpoint(10.0, Setpoint((0.0, 0.0, -5.0), yaw_rad=math.pi / 2))
     assert not vehicle.moving
     assert vehicle.state(11.0).yaw == pytest.approx(math.radians(45.0))
     assert vehicle.state(13.0).yaw == pytest.approx(math.pi / 2)
