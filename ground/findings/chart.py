@@ -74,8 +74,8 @@ def whole_map(it: Findings, background: Background | None = None) -> str:
         *_region(view, it),
         *_names(view, it),
     ]
-    legend = _legend(view, GAS, float(gas.min()), float(gas.max()), f"gas, {it.unit}", _root)
-    return _drawing(view, "Map of the flight", parts, [*legend, *_compass(view, it)])
+    legend = _legend(GAS, float(gas.min()), float(gas.max()), f"gas, {it.unit}", _root)
+    return _drawing(view, "Map of the flight", parts, [*legend, *_compass(it)])
 
 
 def near_map(it: Findings) -> str:
@@ -87,7 +87,7 @@ def near_map(it: Findings) -> str:
         half = max(half, 1.15 * float(np.abs(places - np.array([x, y])).max()))
     view = View(x - half, y - half, x + half, y + half)
     parts = [*_ground(view, None), *_area(view, it), *_particles(view, it), *_region(view, it)]
-    return _drawing(view, "Map of the estimate and its 95% region", parts, _compass(view, it))
+    return _drawing(view, "Map of the estimate and its 95% region", parts, _compass(it))
 
 
 def rates_map(it: Findings) -> str:
@@ -108,8 +108,8 @@ def rates_map(it: Findings) -> str:
             f"<title>{told}</title></rect>"
         )
     parts = [*cells, *_grid(view), *_area(view, it), *_tracks(view, it), *_names(view, it)]
-    legend = _legend(view, RATES, low, high, "rate, g/s", _log_share)
-    return _drawing(view, "Map of the smallest rates", parts, [*legend, *_compass(view, it)])
+    legend = _legend(RATES, low, high, "rate, g/s", _log_share)
+    return _drawing(view, "Map of the smallest rates", parts, [*legend, *_compass(it)])
 
 
 def _view(it: Findings) -> View:
@@ -231,16 +231,13 @@ def _scale_bar(view: View) -> str:
     )
 
 
-def _compass(view: View, it: Findings) -> list[str]:
+def _compass(it: Findings) -> list[str]:
     """Return the north arrow, and an arrow with the mean wind."""
     x, y = WIDTH - RIGHT / 2, ABOVE + 8
-    arrow = (
-        f'<path d="M{x:.1f} {y:.1f} l8 24 l-8 -6 l-8 6 Z" fill="{INK}"/>'
-        f"{_text(x, y + 38, 'N', 'middle', INK)}"
-    )
     deg = it.wind.from_deg + 180.0  # where it goes
     return [
-        arrow,
+        f'<path d="M{x:.1f} {y:.1f} l8 24 l-8 -6 l-8 6 Z" fill="{INK}"/>'
+        f"{_text(x, y + 38, 'N', 'middle', INK)}",
         f'<g transform="translate({x:.1f} {y + 74:.1f}) rotate({deg:.1f})"><path d="M0 18 V-14 M-5 -7 L0 -16 '
         f'L5 -7" fill="none" stroke="{REGION}" stroke-width="2"/></g>',
         _text(x, y + 108, f"wind {it.wind.speed_mps:.1f} m/s", "middle", REGION),
@@ -374,7 +371,6 @@ def _colour(scale: Sequence[str], share: float) -> str:
 
 
 def _legend(
-    view: View,
     scale: Sequence[str],
     low: float,
     high: float,
