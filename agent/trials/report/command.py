@@ -11,7 +11,7 @@ from agent.policies import OURS
 from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.report.leaderboard import Leaderboard, read_boards
 from agent.trials.report.page import Picture, page
-from agent.trials.report.results import USUAL, Results, read
+from agent.trials.report.results import Results, read
 from agent.trials.report.tables import tables
 from link import cli
 from link.files import whole
@@ -141,7 +141,7 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
             f"{for_both}",
             drawing.against(results, axis),
         )
-    setting = results.nearest(USUAL)
+    setting = results.usual
     set_to = (
         f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, assume {results.assume}, "
         f"{BUDGET_STEPS} steps at most"

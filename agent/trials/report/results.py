@@ -64,11 +64,12 @@ class Results:
         """Whether all keys along `particles` or `threshold_m` are of one setting."""
         return len({setting for _, setting in self.along(axis)}) == 1
 
-    def nearest(self, wanted: Setting) -> Setting:
-        """Return the setting flown that is nearest to `wanted`, first in N, then in ζ."""
+    @property
+    def usual(self) -> Setting:
+        """The setting flown that is nearest to `USUAL`, first in N, then in ζ."""
         return min(
             {setting for _, setting in self.rows},
-            key=lambda it: (abs(it.particles - wanted.particles), abs(it.threshold_m - wanted.threshold_m)),
+            key=lambda it: (abs(it.particles - USUAL.particles), abs(it.threshold_m - USUAL.threshold_m)),
         )
 
     def best(self, setting: Setting, of: Collection[str]) -> str | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.trials.figures import COLUMNS, UNKNOWN, cell
 from agent.trials.report.published import PUBLISHED, Published
-from agent.trials.report.results import USUAL, Key, Results, Setting
+from agent.trials.report.results import Key, Results, Setting
 from plume.scenario import BUDGET_STEPS, LIFETIME_S, SUCCESS_RADIUS_M, draw
 
 
@@ -161,7 +161,7 @@ def against_paper(results: Results) -> Table:
 
 def _same(it: Published, results: Results) -> Setting:
     if it.particles is None and it.threshold_m is None:
-        return results.nearest(USUAL)
+        return results.usual
     return Setting(it.particles or results.particles, it.threshold_m or results.threshold_m)
 
 
