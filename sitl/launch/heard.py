@@ -209,7 +209,8 @@ class MissionHeard:
     def _departure(self, left: Departure | None) -> Departure | None:
         if left is None or left.vehicle in self.left or left.vehicle > len(self.vehicles):
             return None
-        self.left[left.vehicle] = left
+        ended = self.vehicles[left.vehicle - 1].ended  # of a process that has ended this says why it left
+        self.left[left.vehicle] = msgspec.structs.replace(left, reason=ended or left.reason)
         return left
 
     def _latecomer(self, late: Latecomer | None) -> Latecomer | None:
@@ -238,8 +239,7 @@ class MissionHeard:
     def departures(self) -> list[Left]:
         """Who has left the search, and whose process has ended in it."""
         said = {
-            number: Left(number, each.step, self.vehicles[number - 1].ended or each.reason, each.forgotten)
-            for number, each in self.left.items()
+            number: Left(number, each.step, each.reason, each.forgotten) for number, each in self.left.items()
         }
         ended = {
             number: Left(number, vehicle.trace.newest + 1, vehicle.ended)

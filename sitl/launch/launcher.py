@@ -407,11 +407,14 @@ class MissionWatch:
                         self._progress.show(belief, self._heard.distance_m)
 
     def _goes_on_without(self, ended: Ended) -> bool:
-        """Whether the search goes on without a part that has ended: one of several."""
+        """Whether the mission goes on without a part that has ended: one of several.
+
+        The others search on, or the search is over.
+        """
         others = [each for each in self._heard.searching if each.flies and each.part != ended.part]
-        return (
-            ended.part in self._mission.uavs and ended.status not in (INTERRUPTED, BAD_INPUT) and bool(others)
-        )
+        one_of_several = bool(self._mission.numbers) and ended.part in self._mission.uavs
+        over = one_of_several and self._has_ended()
+        return one_of_several and ended.status not in (INTERRUPTED, BAD_INPUT) and (bool(others) or over)
 
     def _spares_payload(self, ended: Ended) -> bool:
         """Whether a part that has ended is the payload of one of several vehicles."""

@@ -229,7 +229,8 @@ class Child:
             level, text = log.parse(line)
             troubled = level in ("warning", "error")
             if troubled or text == line:  # what a log says of its everyday work explains no end
-                self._last_words = text
+                told = self._last_words.startswith("error: ") and text.startswith("keeper: ")
+                self._last_words = self._last_words if told else text  # its keeper goes on once it has failed
             if self.aloud:
                 print(f"{self.part}: {text}", file=sys.stderr)
             elif self.parting and troubled:

@@ -97,6 +97,8 @@ out.write(b"\\n" + b"y" * 4000 + b"\\nlast")
         (["info"], "none"),
         (["warning", "info"], "uav: warning: a warning"),
         (["a traceback", "debug"], "a traceback"),
+        (["keeper: warning: it goes on"], "keeper: warning: it goes on"),
+        (["warning", "error: link lost", "keeper: warning: it goes on"], "error: link lost"),
     ],
 )
 def test_the_last_words_of_a_part_are_not_about_its_everyday_work(

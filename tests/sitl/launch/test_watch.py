@@ -9,15 +9,15 @@ import msgspec
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.keys import BELIEF, HEALTH, MAVLINK_OUT, STOP
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH, MAVLINK_OUT, STOP
 from link.bus.mavlink import Codec, unpack
-from link.bus.messages import Health, Stop
+from link.bus.messages import Departure, Health, RoundReading, Stop
 from link.bus.session import Arrival
 from sitl.launch import launcher as module
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.launcher import MissionWatch
 from sitl.launch.mission import Launch, RealVehicle
-from sitl.launch.processes import MissionFailed
+from sitl.launch.processes import Ended, MissionFailed
 from sitl.launch.watchdog import Watchdog
 from sitl.script.script import Kill, Script
 from tests.fuzz.services import QuietBus
@@ -169,3 +169,48 @@ def test_the_times_of_a_script_count_from_the_start_however_long_a_real_autopilo
     with pytest.raises(MissionFailed, match="agent killed"):
         watch(bus, monkeypatch, mission, [event], SimpleNamespace(kill=kill)).until_the_end()
     assert 3.0 <= bus.now_s <= 3.0 + 2.0
+
+
+def of_round(step: int, *vehicles: int) -> Arrival:
+    """A belief after the readings of these vehicles."""
+    readings = [
+        RoundReading(number, number, 1000 * step, (float(step), 2.0), 5.0, step / 4) for number in vehicles
+    ]
+    return Arrival(BELIEF, msgspec.json.encode(msgspec.structs.replace(belief(step), readings=readings)), b"")
+
+
+def of_vehicle(number: int, state: str) -> Arrival:
+    said = Health("uav", state, step=1, compute_s=0.0, uptime_s=9.0, refused={})
+    return Arrival(HEALTH, msgspec.json.encode(said), b"", name=f"uav/{number}/health/uav")
+
+
+def departure(reason: str) -> Arrival:
+    return Arrival(DEPARTURE, msgspec.json.encode(Departure(2, 1, reason)), b"")
+
+
+DIES = Ended("uav/2", 1, "error: link lost for 100 s")
+
+
+@pytest.mark.parametrize(
+    ("items", "reason"),
+    [
+        (
+            [departure("no reading for 12 s: link lost"), of_round(1, 1), of_vehicle(1, "landed"), DIES],
+            "no reading for 12 s: link lost",
+        ),
+        (
+            [DIES, departure("gone from the bus for 12 s"), of_round(1, 1), of_vehicle(1, "landed")],
+            "exited with status 1",
+        ),
+    ],
+    ids=["after it has left", "and leaves by that"],
+)
+def test_one_of_several_that_dies_takes_no_outcome_with_it_which_says_why_it_left(
+    monkeypatch: pytest.MonkeyPatch, items: list[Any], reason: str
+) -> None:
+    """Also when the last one that searched has landed before."""
+    script = Script(seed=7).changed({"agent.budget": 1, "fleet.vehicles": 2})
+    bus = FallsSilent(of_round(0, 1, 2), *items)
+    flown = watch(bus, monkeypatch, Launch(script=script, patience_s=PATIENCE_S)).until_the_end()
+    assert flown.outcome.steps == 1
+    assert [(left.vehicle, left.step, left.reason) for left in flown.outcome.left] == [(2, 1, reason)]
