@@ -136,6 +136,13 @@ class Land(OfVehicle, frozen=True, tag="land"):
 OnBoard = Wind | Dropout | Stuck | Spike | Duplicate | Delay | Lose | Hold | Resume | Return | Land
 
 
+def words(event: OnBoard) -> str:
+    """Return an event as its vehicle tells it when it happens."""
+    fields = msgspec.structs.asdict(event).items()
+    said = [f"{name} {value:.6g}" for name, value in fields if value is not None]
+    return f"Script: {event.__struct_config__.tag} {' '.join(said)}"
+
+
 def happens_to(event: OnBoard, number: int) -> bool:
     """Whether an event happens on board of a vehicle of this number."""
     return not isinstance(event, OfVehicle) or event.vehicle in (None, number)

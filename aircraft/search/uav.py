@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.aircraft import Clients, GasSensor
@@ -26,6 +25,7 @@ from aircraft.search.events import (
     Stuck,
     Timeline,
     Wind,
+    words,
 )
 from aircraft.search.sampling import Sampling
 from aircraft.search.search import PAUSED, SEARCHING, STANDBY, TAKING_OFF, Search
@@ -371,9 +371,7 @@ class Uav:
         return f"joins late: waits for {'its round' if joining.asks.clear else 'a clear take-off'}"
 
     def _perform(self, event: OnBoard) -> None:
-        fields = msgspec.structs.asdict(event).items()
-        words = " ".join(f"{name} {value:.6g}" for name, value in fields if value is not None)
-        self._say(mavlink.MAV_SEVERITY_INFO, f"Script: {event.__struct_config__.tag} {words}")
+        self._say(mavlink.MAV_SEVERITY_INFO, words(event))
         match event:
             case Wind(u=u, phi=phi):
                 self._sensor.blow(u, phi)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from aircraft.operator import AUTOPILOT, LAUNCHER_IDS, SEARCH, order
+from aircraft.search.events import OnBoard, ScriptEvent, words
 from aircraft.search.search import STANDBY
 from link.bus.inbox import Inbox
 from link.bus.keys import (
@@ -71,6 +72,7 @@ from sitl.script.script import Cut, Expectation, Script
 CALL_EVERY_S = 1.0  # real time between two commands to return home
 LATE_STOP_S = 2.0  # a stop may reach us this much later than the vehicle, which lands because of it
 SHOWN = re.compile("Script: |Check: ")  # lines that are shown whatever their level
+EVENT = re.compile("Script: .*")  # what a vehicle says of an event of the script
 # Real time that record and trace may lag behind the mission's end: a part that was cut off receives first
 # what it missed.
 LAG_S = 5.0
@@ -258,6 +260,7 @@ class MissionWatch:
         self._heard = MissionHeard(bus, mission.system, mission.stands, mission.late)
         self._began_at, self._look_at = time.monotonic(), 0.0
         self._last_words: dict[str, str] = {}
+        self._happened: set[str] = set()  # events of the script on board, in words
         # Services elsewhere that have left the bus, and parts without which the mission goes on.
         self._gone: set[str] = set()
 
@@ -382,6 +385,8 @@ class MissionWatch:
                 raise_for(item)
             case LogLine(part, line, level):
                 self._last_words[part] = line
+                if happened := EVENT.search(line):
+                    self._happened.add(happened[0])
                 if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or SHOWN.search(line):
                     self._progress.say(line)
             case LivelinessChange(service, alive) if self._mission.connect and service in SEARCHERS:
@@ -503,6 +508,12 @@ class MissionWatch:
                 return
             self._listen(deadline - time.monotonic())
 
+    def _has_happened(self, event: ScriptEvent) -> bool:
+        """Whether an event has happened that has a time."""
+        if isinstance(event, OnBoard):
+            return words(event) in self._happened
+        return not any(event is each for each in self._disturbances.to_come)
+
     def _flown(self, last: Belief) -> Flown:
         script, heard = self._mission.script, self._heard
         points, missing = heard.points(), heard.trace.missing
@@ -514,7 +525,7 @@ class MissionWatch:
         for number, event in enumerate(script.events):
             if event.step is not None and event.step > last.step:
                 when = f"step {event.step}"
-            elif event.step is None and any(event is each for each in self._disturbances.to_come):
+            elif event.time_s is not None and not self._has_happened(event):
                 when = f"time {event.time_s:g} s"
             else:
                 continue

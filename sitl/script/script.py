@@ -12,7 +12,20 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from aircraft.search.events import Count, OnBoard, Radians, ScriptEvent, Wind, WindSpeed
+from aircraft.search.events import (
+    Count,
+    Hold,
+    Land,
+    OfVehicle,
+    OnBoard,
+    Radians,
+    Resume,
+    Return,
+    ScriptEvent,
+    Wind,
+    WindSpeed,
+    happens_to,
+)
 from aircraft.search.search import AfterStop
 from link.cli import BadInput, did_you_mean
 from plume.geodesy import HOME
@@ -487,6 +500,9 @@ def load(mission: str | Path) -> Script:
             ["agent", "policy"],
             "'none' is not allowed; wanted a policy, or scripted waypoints from step 0 on without a gap",
         )
+    for number, event in enumerate(script.events):
+        if wrong := _alone(script, event):
+            _warn(f"{document.path}: events[{number}]: {wrong}")
     return script
 
 
@@ -587,3 +603,32 @@ def _check(document: Document, number: int, event: ScriptEvent) -> None:
                 [*field, "high"],
                 f"{list(high)} is not allowed; wanted a corner north-east of low, {list(low)}",
             )
+
+
+def _alone(script: Script, event: object) -> str:
+    """Return what a hold or a resume lacks, in words; empty if nothing, or if it is neither.
+
+    The resumes with after_s belong to the holds in their order.
+    """
+    if not isinstance(event, Hold | Resume):
+        return ""
+    lacks = []
+    for number in [event.vehicle] if event.vehicle else range(1, script.fleet.vehicles + 1):
+        those = [each for each in script.events if isinstance(each, OfVehicle) and happens_to(each, number)]
+        holds = [each for each in those if isinstance(each, Hold)]
+        after = [each for each in those if isinstance(each, Resume) and each.after_s is not None]
+        timed = [
+            each for each in those if isinstance(each, Resume | Return | Land) and each.time_s is not None
+        ]
+        if isinstance(event, Hold):
+            lacks.append(not timed and _place(event, holds) >= len(after))
+        else:
+            lacks.append(event.after_s is not None and _place(event, after) >= len(holds))
+    if isinstance(event, Hold):
+        return "no resume follows this hold: it lasts until an operator ends it" if any(lacks) else ""
+    return "there is no hold from which this resume counts: it does not happen" if all(lacks) else ""
+
+
+def _place(one: object, those: Sequence[object]) -> int:
+    """Return the place of an object in a list that has it; two that are equal are two."""
+    return next((number for number, each in enumerate(those) if each is one), 0)

@@ -126,7 +126,8 @@ def missed(tmp_path_factory: pytest.TempPathFactory) -> Flown:
     """
     script = (
         "seed: 5\nagent: {policy: random, budget: 7}\nestimator: {particles: 50}\n"
-        "events: [{step: 5, do: spike, gas: 1}, {time_s: 900, do: kill, part: agent}]\n"
+        "events: [{step: 5, do: spike, gas: 1}, {time_s: 900, do: kill, part: agent}, {time_s: 900, do: land}, "
+        "{time_s: 3, do: duplicate, readings: 1}]\n"
         "expect: [not ceased, located]\n"
     )
     return flown(tmp_path_factory.mktemp("missed"), script, "--seed", "6", "--budget", "4")
@@ -150,6 +151,7 @@ def test_an_event_that_comes_too_late_is_told(missed: Flown) -> None:
     assert told == [
         "warning: events[0] of step 5 did not happen: the search ended at step 4\n",
         "warning: events[1] of time 900 s did not happen: the search ended at step 4\n",
+        "warning: events[2] of time 900 s did not happen: the search ended at step 4\n",
     ]
 
 

@@ -388,16 +388,48 @@ def test_the_words_of_older_scripts_mean_what_they_meant_and_are_warned_of_once(
 ) -> None:
     path = tmp_path / "old.yaml"
     path.write_text(
-        "events:\n- {step: 1, do: pause}\n- {after_s: 2, do: resume}\n- {step: 5, do: pause}\n- {step: 7, "
+        "events:\n- {step: 1, do: pause}\n- {after_s: 2, do: resume}\n- {step: 5, do: pause}\n- {time_s: 90, "
         "do: abort}\n"
     )
     for _ in range(2):
-        assert load(path).events == [Hold(step=1), Resume(after_s=2), Hold(step=5), Return(step=7)]
+        assert load(path).events == [Hold(step=1), Resume(after_s=2), Hold(step=5), Return(time_s=90)]
     assert (
         capfd.readouterr().err
         == f"warning: {path}: 'pause' is an old word, read as 'hold', 'abort' is an old word, read as "
         "'return'\n"
     )
+
+
+UNENDED = "no resume follows this hold: it lasts until an operator ends it"
+UNBEGUN = "there is no hold from which this resume counts: it does not happen"
+
+
+@pytest.mark.parametrize(
+    ("events", "told"),
+    [
+        ("{step: 1, do: hold}", {0: UNENDED}),
+        ("{after_s: 2, do: resume}", {0: UNBEGUN}),
+        ("{step: 1, do: hold}, {after_s: 2, do: resume}", {}),
+        ("{step: 1, do: hold}, {step: 4, do: hold}, {after_s: 2, do: resume}", {1: UNENDED}),
+        ("{step: 1, do: hold}, {step: 4, do: hold}, {time_s: 90, do: land}", {}),
+        ("{step: 1, do: hold}, {after_s: 2, do: resume}, {after_s: 2, do: resume}", {2: UNBEGUN}),
+        ("{step: 1, do: hold, vehicle: 2}, {after_s: 2, do: resume}", {}),
+        ("{step: 1, do: hold}, {after_s: 2, do: resume, vehicle: 2}", {0: UNENDED}),
+        (
+            "{step: 1, do: hold, vehicle: 1}, {after_s: 2, do: resume, vehicle: 2}",
+            {0: UNENDED, 1: UNBEGUN},
+        ),
+    ],
+)
+def test_a_hold_without_a_resume_and_a_resume_without_a_hold_are_warned_of(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], events: str, told: dict[int, str]
+) -> None:
+    path = tmp_path / "mission.yaml"
+    path.write_text(f"fleet: {{vehicles: 2}}\nevents: [{events}]\n")
+    load(path)
+    assert capfd.readouterr().err.splitlines() == [
+        f"warning: {path}: events[{number}]: {what}" for number, what in told.items()
+    ]
 
 
 @pytest.mark.parametrize(
