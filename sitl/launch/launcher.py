@@ -72,6 +72,7 @@ from sitl.script.script import Cut, Expectation, Script
 CALL_EVERY_S = 1.0  # real time between two commands to return home
 LATE_STOP_S = 2.0  # a stop may reach us this much later than the vehicle, which lands because of it
 SHOWN = re.compile("Script: |Check: ")  # lines that are shown whatever their level
+EXPIRED = re.compile("the certificate .* expired on .*")  # what a part says of its own, see `Identity.expiry`
 EVENT = re.compile("Script: .*")  # what a vehicle says of an event of the script
 # Real time that record and trace may lag behind the mission's end: a part that was cut off receives first
 # what it missed.
@@ -260,6 +261,7 @@ class MissionWatch:
         self._heard = MissionHeard(bus, mission.system, mission.stands, mission.late)
         self._began_at, self._look_at = time.monotonic(), 0.0
         self._last_words: dict[str, str] = {}
+        self._expired: dict[str, str] = {}  # the parts whose certificate has expired, in their words
         self._happened: set[str] = set()  # events of the script on board, in words
         # Services elsewhere that have left the bus, and parts without which the mission goes on.
         self._gone: set[str] = set()
@@ -343,8 +345,9 @@ class MissionWatch:
         now_s = time.monotonic()
         if now_s >= self._look_at:
             self._look_at = now_s + LOOK_S
-            if reason := self._watchdog.look(now_s, self._bus.connected):
-                raise MissionFailed(reason)
+            if silent := self._watchdog.look(now_s, self._bus.connected):
+                those = [why for part, why in self._expired.items() if silent.startswith(f"the {part} has ")]
+                raise MissionFailed(self._bus.expiry() or ": ".join([silent, *those]))
 
     def _awaited(self) -> str:
         """Return what the first belief waits for."""
@@ -385,6 +388,8 @@ class MissionWatch:
                 raise_for(item)
             case LogLine(part, line, level):
                 self._last_words[part] = line
+                if expired := EXPIRED.search(line):
+                    self._expired[part] = expired[0]
                 if happened := EVENT.search(line):
                     self._happened.add(happened[0])
                 if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or SHOWN.search(line):

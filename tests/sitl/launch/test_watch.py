@@ -17,7 +17,7 @@ from sitl.launch import launcher as module
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.launcher import MissionWatch
 from sitl.launch.mission import Launch, RealVehicle
-from sitl.launch.processes import Ended, MissionFailed
+from sitl.launch.processes import Ended, LogLine, MissionFailed
 from sitl.launch.watchdog import Watchdog
 from sitl.script.script import Kill, Script
 from tests.fuzz.services import QuietBus
@@ -46,6 +46,9 @@ class FallsSilent(QuietBus):
         assert self.now_s < 1000.0, "it waits for ever"
         return None
 
+    def expiry(self) -> str:
+        return ""
+
 
 def watch(
     bus: FallsSilent,
@@ -53,11 +56,12 @@ def watch(
     mission: Launch | None = None,
     events: Sequence[Kill] = (),
     processes: Any = None,
+    parts: Sequence[str] = (),
 ) -> MissionWatch:
     """The watch over a mission of one move, in the bus's time."""
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: bus.now_s))
     progress: Any = SimpleNamespace(wait=lambda _: None, say=lambda _: None, show=lambda *_: None)
-    watchdog = Watchdog([], PATIENCE_S, 0.0, progress.say)
+    watchdog = Watchdog(parts, PATIENCE_S, 0.0, progress.say)
     disturbances = Disturbances(events, processes, {}, watchdog, progress.say, *[lambda *_: None] * 2)
     held = Script(seed=7).changed({"agent.budget": 1, "vehicle.after_stop": "hold"})
     mission = mission or Launch(script=held, patience_s=PATIENCE_S)
@@ -77,6 +81,47 @@ def test_a_mission_whose_last_belief_is_lost_fails_when_patience_ends(
     ):
         watch(bus, monkeypatch).until_the_end()
     assert PATIENCE_S <= bus.now_s <= PATIENCE_S + 2.0
+
+
+EXPIRED = "the certificate uav/1/agent expired on 2026-11-29"
+
+
+class Expires(FallsSilent):
+    """A bus whose own certificate has expired: its link is closed."""
+
+    connected = False
+
+    def expiry(self) -> str:
+        return EXPIRED
+
+
+@pytest.mark.parametrize(
+    ("part", "why"),
+    [
+        ("agent", f"the agent has said nothing for 40 s (--patience S waits longer): {EXPIRED}"),
+        ("estimator", "the agent has said nothing for 40 s (--patience S waits longer)"),
+    ],
+)
+def test_a_part_that_falls_silent_as_its_certificate_expires_has_that_in_the_missions_last_line(
+    monkeypatch: pytest.MonkeyPatch, part: str, why: str
+) -> None:
+    said = Health("agent", "searching", step=0, compute_s=0.0, uptime_s=9.0, refused={})
+    bus = FallsSilent(
+        Arrival(HEALTH, msgspec.json.encode(said), b"", name="agent"),
+        LogLine(part, f"{part}: warning: {EXPIRED}", "warning"),
+        LogLine("agent", "agent: warning: waits for the router", "warning"),
+    )
+    with pytest.raises(MissionFailed) as failed:
+        watch(bus, monkeypatch, parts=["agent"]).until_the_end()
+    assert str(failed.value) == why
+
+
+def test_a_mission_whose_own_certificate_expires_says_so_and_not_that_the_router_is_silent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bus = Expires()
+    with pytest.raises(MissionFailed, match=f"^{EXPIRED}$"):
+        watch(bus, monkeypatch, parts=["router"]).until_the_end()
 
 
 def test_a_mission_whose_last_compute_times_are_lost_ends_with_its_outcome(
