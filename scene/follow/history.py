@@ -67,6 +67,8 @@ TRACK_STEP_M = 0.1  # the track gets a point when the vehicle has moved this far
 FIRST = 1  # of several vehicles that search together, the one that is followed as a rule
 SPOKEN = 20  # of a vehicle's texts, those that its health may say again
 RESTART_MS = 1000  # a vehicle whose own time goes back by more was started again
+# It writes on, and speaks, when all others have ended: that makes none of them silent.
+RECORDER = f"{HEALTH_PREFIX}recorder"
 TICK_S = 1e-6  # least time between two messages of a search by several
 NOWHERE = math.nan, math.nan
 
@@ -168,8 +170,10 @@ class History:
             if number != str(self._number):
                 return False
             key = row_name(key)
-        self.time_s, self.wall_s = max(self.time_s, time_s), max(self.wall_s, wall_s)
-        self._walls.add(time_s, wall_s)
+        self.time_s = max(self.time_s, time_s)
+        if key != RECORDER:
+            self.wall_s = max(self.wall_s, wall_s)
+            self._walls.add(time_s, wall_s)
         if self.own.learn(key, payload):
             self.is_real, self.craft = False, None
             self._forget_way()

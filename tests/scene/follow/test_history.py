@@ -281,6 +281,24 @@ def test_after_the_search_there_is_no_next_waypoint_whatever_others_ask_for(
     assert history.waypoints.at() is history.at().waypoint is None
 
 
+def test_no_part_of_a_record_is_stale_because_its_recorder_wrote_on_when_the_others_had_ended(
+    history: History,
+) -> None:
+    for service in ("uav", "estimator", "recorder"):
+        history.take(f"health/{service}", health(service, 1.0), b"", 1.0, 100.0)
+    history.take("health/recorder", health("recorder", 10.0), b"", 2.0, 109.0)
+    assert {it.name: it.verdict for it in history.at().services}["uav"] == "ok"
+    assert {it.name: it.verdict for it in history.at(2.0).services}["estimator"] == "ok"
+    history.take(
+        "health/estimator", health("estimator", 10.0), b"", 2.0, 109.0
+    )  # then it was there all the time
+    assert {it.name: it.verdict for it in history.at().services} == {
+        "uav": "stale",
+        "estimator": "ok",
+        "recorder": "ok",
+    }
+
+
 def test_services_are_judged_as_status_does(history: History) -> None:
     history.lives("agent", True, 100.0)
     history.take("health/uav", health("uav", 1.0), b"", 1.0, 100.0)
