@@ -226,6 +226,7 @@ class Scene:
     home: tuple[float, float, float] | None = None  # latitude and longitude, degrees, and m above sea
     silent_s: float | None = None  # since the vehicle was last heard, by the clock; None in a record
     gauge: Gauge | None = None
+    left: bool = False  # whether the vehicle has left the search by several
 
     @property
     def threshold_m(self) -> float | None:

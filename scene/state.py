@@ -72,14 +72,17 @@ def _said(scene: Scene) -> tuple[str, str, str]:
         return "paused", WARN, f"Paused{_by(scene)}: it stays here and the search waits"
     if state == "paused" and mode not in ("OFFBOARD", "RETURN", "LAND"):
         return "pilot", WARN, f"A pilot flies it ({mode.capitalize()}): the search waits"
+    why = "it has left the search" if scene.left else "the search has not found the source"
     if state == "returning" or mode == "RETURN":
-        return "returning", WARN, "Returning home: the search has not found the source"
+        return "returning", WARN, f"Returning home: {why}"
     if mode == "LAND":
-        return "landing", WARN, "Landing: the search has not found the source"
+        return "landing", WARN, f"Landing: {why}"
+    if state == "holding" and scene.left and mode not in ("OFFBOARD", "HOLD", ""):
+        return "pilot", WARN, f"A pilot flies it ({mode.capitalize()}): {why}"
     if state == "holding":
-        return "holding", WARN, "It stays here: the search is over"
+        return "holding", WARN, f"It stays here: {why if scene.left else 'the search is over'}"
     if state == "landed":
-        return "landed", CALM, "Landed: the search has not found the source"
+        return "landed", CALM, f"Landed: {why}"
     if missing := [each for each in scene.services if each.name in NEEDED and each.verdict in GONE]:
         names = " and ".join(each.name for each in missing)
         return "stuck", BAD, f"Waiting: the {names} {'is' if len(missing) == 1 else 'are'} not there"

@@ -1,5 +1,6 @@
 """The verdict on a search: found, doubtful and why, outside, or not found."""
 
+import re
 from typing import NamedTuple
 
 from ground.findings.assumed import Told
@@ -12,7 +13,8 @@ FOUND, DOUBTFUL, OUTSIDE, NOT_FOUND = "found", "doubtful", "outside", "not found
 # As in `estimator/belief.py`; a test holds them equal.
 INCOMPATIBLE = 1e-4  # below this p-value readings, or winds, do not fit the model
 CLEAR = 5.0  # least evidence of a plume for a stop, nats
-REFUSED = "refused "  # the estimator says so of messages that it drops: no word on the find
+# What the estimator says of messages that it drops and of a vehicle that leaves: no word on the find.
+NO_DOUBT = re.compile(r"refused |uav/\d+ has left the search")
 NARROW_M = 1.0  # a belief whose spread is below this claims a place, stop or not
 
 
@@ -86,7 +88,7 @@ def _doubts(flight: Flight, told: Told) -> tuple[str, ...]:
     doubts += [
         f"the estimator warned in flight: {text}"
         for text in warned
-        if not ((text.startswith(winds) and last.wind_p_value < INCOMPATIBLE) or text.startswith(REFUSED))
+        if not ((text.startswith(winds) and last.wind_p_value < INCOMPATIBLE) or NO_DOUBT.match(text))
     ]
     if isinstance(told.sensor, Instrument) and told.sensor.air:
         doubts.append(

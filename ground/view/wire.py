@@ -117,6 +117,7 @@ def _header(scene: Scene, sent: Sent) -> dict[str, Any]:
         "home": scene.home,
         "silent_s": scene.silent_s,
         "gauge": scene.gauge,
+        "left": scene.left,
     }
 
 

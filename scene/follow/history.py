@@ -122,6 +122,7 @@ class History:
         self._stop = self._assume = ""
         self._gauge: Gauge | None = None
         self._left: set[int] = set()  # vehicles that have left a search by several
+        self._gone: Timed[bool] = timed()  # that the one it follows has
         self._late: dict[int, int] = {}  # of those that join it late, how much has been said of each
         self._forget_way()
 
@@ -211,6 +212,8 @@ class History:
         if said.vehicle in self._left:
             return False
         self._left.add(said.vehicle)
+        if said.vehicle == self._number:
+            self._gone.add(self.time_s, True)
         self._happened(self.time_s, WARNING, "estimator", departure_text(said))
         return True
 
@@ -359,6 +362,7 @@ class History:
             home=self._area.home,
             silent_s=None if wall_s is None or craft is None else max(0.0, wall_s - self._heard_s),
             gauge=self._gauge,
+            left=bool(self._gone.at(time_s)),
         )
 
     def _backdrop(self, time_s: float, step: int) -> Backdrop:

@@ -109,6 +109,24 @@ def test_each_state_has_its_words(changes: dict[str, object], kind: str, begins:
     assert text.startswith(begins)
 
 
+@pytest.mark.parametrize(
+    ("state", "mode", "kind", "text"),
+    [
+        ("holding", "LOITER", "pilot", "A pilot flies it (Loiter): it has left the search"),
+        ("holding", "BRAKE", "holding", "It stays here: it has left the search"),
+        ("returning", "RTL", "returning", "Returning home: it has left the search"),
+        ("returning", "LAND", "returning", "Returning home: it has left the search"),
+        ("landed", "RTL", "returning", "Returning home: it has left the search"),
+        ("landed", "HOLD", "landed", "Landed: it has left the search"),
+    ],
+)
+def test_one_that_has_left_the_search_of_several_is_not_said_to_have_ended_it(
+    state: str, mode: str, kind: str, text: str
+) -> None:
+    found, _, told = said(**flown(state, mode), left=True)
+    assert (found, told) == (kind, text)
+
+
 def test_it_is_told_who_paused() -> None:
     page = Happening(9.0, "warning", "uav", "Search gives way: HOLD by 255/190 on the bus")
     assert said(**flown("paused", "HOLD"), happenings=[page])[2].startswith("Paused by the operator: ")

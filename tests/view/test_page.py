@@ -270,6 +270,11 @@ def test_only_what_is_possible_can_be_pressed(stage: Stage, window: Window) -> N
         window.until(f"plumeward.state.models['uav/1'].scene.craft.mode === '{mode}'")
         window.drawn()
         assert can(window) == possible, (state, mode)
+    pilot = replace(scene().craft, mode="LOITER", armed=True)
+    stage.vehicles["uav/1"].show(services=(Service("uav", "ok", "holding"),), craft=pilot, left=True)
+    window.until("plumeward.state.models['uav/1'].scene.left")
+    window.drawn()
+    assert can(window) == flown | {"Give back": False}
     stage.vehicles["uav/1"].show(craft=replace(scene().craft, mode="HOLD", armed=False))
     window.until("document.querySelector('[data-command=return]').disabled")
     assert "on the ground" in window.page.get_by_role("button", name="Return").get_attribute("title")

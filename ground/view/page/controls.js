@@ -35,7 +35,7 @@ export class Controls {
     const mode = scene?.craft?.means ?? "", state = uav?.verdict === "ok" ? uav.state : "";
     const leads = LEADING.includes(state), grounded = scene?.craft?.armed === false ? "The vehicle is on the ground" : "";
     const held = state === "paused" && (mode === "HOLD" || mode === "");
-    const over = scene?.ending ? "The search is over" : "";
+    const over = scene?.ending ? "The search is over" : scene?.left ? "It has left the search" : "";
     return {
       held,
       hold: grounded || over || (state && !leads ? "The search does not lead now" : ""),

@@ -8,6 +8,7 @@ import pytest
 
 from ground.findings.flight import Remark
 from ground.findings.verdict import DOUBTFUL, FOUND, NOT_FOUND, OUTSIDE, Judgement, verdict
+from link.bus.messages import Departure, departure_text
 from plume.sensors.names import parse
 from tests.ground.findings.records import FOUND as RECORD
 from tests.ground.findings.records import findings
@@ -28,6 +29,11 @@ def test_a_stop_without_a_warning_is_a_find() -> None:
 
 def test_a_message_that_the_estimator_refused_is_no_doubt_of_the_find() -> None:
     assert judged(warned="refused reading: uav/3 has left the search", advised_dwell=0.0).kind == FOUND
+
+
+def test_a_vehicle_that_left_the_search_is_no_doubt_of_the_find_of_the_others() -> None:
+    left = departure_text(Departure(3, 7, "paused for 12.8 s: Search gives way: LOITER by 255/190"))
+    assert judged(warned=left, advised_dwell=0.0).kind == FOUND
 
 
 @pytest.mark.parametrize(

@@ -377,6 +377,15 @@ def test_a_vehicle_that_leaves_a_search_is_told_once(history: History) -> None:
     ]
 
 
+def test_a_vehicle_has_left_from_its_departure_on_and_no_other_has() -> None:
+    left = msgspec.json.encode(Departure(3, 4, "gone from the bus for 20 s"))
+    for number, has_left in ((3, True), (2, False)):
+        history = History(Backdrop(f"uav/{number}"), number=number)
+        history.take("departure", left, b"", 9.0, 100.0)
+        assert not history.at(8.9).left
+        assert history.at().left == has_left
+
+
 def test_a_vehicle_that_has_left_reads_no_more_and_still_shows_the_belief_of_the_others() -> None:
     history = History(Backdrop("search/1/uav/2"), number=2)
     own, other = RoundReading(2, 2, 0, (7.0, 8.0), 5.0, 0.5), RoundReading(1, 1, 0, (1.0, 2.0), 5.0, 3.0)
