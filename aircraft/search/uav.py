@@ -126,6 +126,7 @@ class Uav:
         self._early = b""  # waypoints that fit no round yet: who has left or come may not be known here
         self._joining: Joining | None = None  # while it comes late and has no part in the search yet
         self._asking = Backoff(ASK_S, ASK_S)
+        self._astray = False  # whether it has been said that it cannot join from where it stands
         self._tally.state = search.state
         self._say.clients = clients
         self._meet()
@@ -204,11 +205,12 @@ class Uav:
         """Return what comes until something is due; None if nothing does."""
         wait_s = 0.0
         if self._clock.speedup or not self._busy:
+            ask_s = self._asking.due_s - time.monotonic() if self._joining else math.inf
             wait_s = min(
                 self._clock.wait_s(self._next_event_s(), math.inf),
                 self._clients.wait_s(),
                 max(self._sampling.next_s() - time.monotonic(), 0.0),
-                max(self._asking.due_s - time.monotonic(), 0.0) if self._joining else math.inf,
+                ask_s if ask_s > 0.0 else math.inf,  # due, and not asked: it cannot yet
             )
         try:
             return self._inbox.get(timeout=min(wait_s, SIGNAL_POLL_S))
@@ -365,7 +367,11 @@ class Uav:
     def _ask_to_join(self, joining: Joining) -> str:
         """Ask for its part in a search that others have begun; returns what it waits for."""
         if why := self._sensor.latecomer():
+            if not self._astray:
+                self._say(mavlink.MAV_SEVERITY_WARNING, why)
+            self._astray = True
             return why
+        self._astray = False
         if self._bus and self._vehicle.free and self._asking.due(time.monotonic()):
             self._bus.publish(JOIN, joining.asks)
         return f"joins late: waits for {'its round' if joining.asks.clear else 'a clear take-off'}"

@@ -1,6 +1,7 @@
 """Protects the uav's wait for a real vehicle and its services: it says what for all the time, and ends."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -10,10 +11,10 @@ from aircraft.remote.command import real_uav
 from aircraft.search.command import Orders
 from aircraft.search.uav import Equipment, Speaker
 from aircraft.state import VehicleFailed
-from aircraft.together import misfit
-from link.bus.keys import HEALTH, PAYLOAD_IN, Key
+from aircraft.together import Berth, misfit
+from link.bus.keys import HEALTH, JOIN, LATECOMER, PAYLOAD_IN, Key
 from link.bus.mavlink import unpack_reading
-from link.bus.messages import Health
+from link.bus.messages import Health, Latecomer
 from link.bus.session import Arrival, LivelinessChange
 from plume.scenario import draw
 from plume.sensors.sensor import Gaussian
@@ -152,3 +153,61 @@ def test_an_estimator_that_does_not_say_for_how_many_vehicles_it_is_may_be_for_a
     assert misfit("300 particles, assume field, stop spread:0.5", 3).startswith(
         "is for 1 vehicle, and 3 would"
     )
+
+
+class Begun(Others):
+    """A bus of a search by two that has begun without vehicle 2."""
+
+    vehicle = 2
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.due.extend(LivelinessChange(name, True) for name in ("payload/2", "uav/1"))
+
+    def kept(self, key: Key, service: str = "*") -> list[Arrival]:
+        late = Arrival(LATECOMER, msgspec.json.encode(Latecomer(2)), b"")
+        return [late] if key is LATECOMER else []
+
+    def announce(self) -> None: ...
+
+
+class Standing(InStep):
+    """A clock that goes on while the bus is waited for, and not by itself."""
+
+    def now_s(self) -> float:
+        return self.stream_s()
+
+    def go_on(self) -> None:
+        super().now_s()
+
+
+class Timed(Told):
+    """Keeps how long each wait for the bus may take, s."""
+
+    def __init__(self, bus: Others, clock: Standing, holds: Callable[[], object]) -> None:
+        super().__init__(bus, holds)
+        self._clock, self.waits_s = clock, list[float]()
+
+    def get(self, timeout: float | None = None) -> Any:
+        self.waits_s.append(timeout or 0.0)
+        self._clock.go_on()
+        return super().get(timeout)
+
+
+@pytest.mark.parametrize(("ready_s", "east_m"), [(1e6, 0.0), (None, 8.0)], ids=["no position", "astray"])
+def test_a_latecomer_that_cannot_ask_for_its_part_yet_waits_without_haste_and_says_why_once(
+    ready_s: float | None, east_m: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its start is where it stands, or further to the east; without a pause it would use up a processor."""
+    cockpit, bus = Cockpit("ardupilot", ready_s=ready_s, wait_s=math.inf), Begun()
+    clock = Standing(cockpit)
+    inbox = Timed(bus, clock, lambda: cockpit.now_s > 60.0)
+    equipment = Equipment(clock, inbox, bus, Speaker(bus.log))
+    berth = Berth((0.5 + east_m, 0.5), [(25.0, 25.0)], 3.0)
+    orders = Orders(World(draw(1_000_000), 1, Gaussian()), number=2, berth=berth)
+    with pytest.raises(KeyboardInterrupt):
+        real_uav(cockpit.vehicle, orders, equipment).run()
+    assert not any(key is JOIN for key, *_ in bus.published)
+    assert sum(wait_s > 0.0 for wait_s in inbox.waits_s) > 0.5 * len(inbox.waits_s)
+    told = [said for said in caplog.messages if said.startswith("to join late it has to stand within 1 m")]
+    assert len(told) == (east_m > 0.0)
