@@ -28,7 +28,7 @@ from aircraft.search.events import (
     words,
 )
 from aircraft.search.sampling import Sampling
-from aircraft.search.search import PAUSED, SEARCHING, STANDBY, TAKING_OFF, Search
+from aircraft.search.search import PAUSED, RETURNING, SEARCHING, STANDBY, TAKING_OFF, Search
 from aircraft.state import Arrived, Reached, TakenOver, VehicleFailed
 from aircraft.together import Joining, misfit
 from link.bus.backoff import Backoff
@@ -360,6 +360,8 @@ class Uav:
             self._tally.state = self._search.state
             if self._search.state == TAKING_OFF:
                 self._tally.last_error = ""  # no warning from the ground is why it leaves a search later
+            elif self._search.state == RETURNING and self._vehicle.failure:
+                self._tally.last_error = self._vehicle.failure  # that is why, and not that it returns
             self._clients.changed()
             if self._bus:
                 self._bus.publish_health()

@@ -61,6 +61,7 @@ from sitl.launch.processes import (
     how_ended,
     raise_for,
     secure_words,
+    why_ended,
 )
 from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
@@ -77,6 +78,7 @@ EVENT = re.compile("Script: .*")  # what a vehicle says of an event of the scrip
 # Real time that record and trace may lag behind the mission's end: a part that was cut off receives first
 # what it missed.
 LAG_S = 5.0
+MOST_REASON = 200  # characters of why a vehicle is left out
 
 
 class Flown(NamedTuple):
@@ -376,10 +378,10 @@ class MissionWatch:
                 self._progress.say(f"warning: {spared}: {why}")
             case Ended(part=part) if self._goes_on_without(item):
                 ended = next(each for each in self._heard.vehicles if each.part == part)
-                ended.ended = how_ended(item)
+                ended.ended = why_ended(item)
                 self._watchdog.ended(part)
                 if ended.number and self._wait_on_the_ground():
-                    self._bus.publish(LEAVE_OUT, LeaveOut(ended.number, how_ended(item)))
+                    self._bus.publish(LEAVE_OUT, LeaveOut(ended.number, ended.ended[:MOST_REASON]))
                 self._progress.say(f"warning: {part} {how_ended(item)}; its last words: {item.last_words}")
             case Ended(part=part) if self._spares_payload(item):  # its vehicle gives up by itself
                 self._watchdog.ended(part)

@@ -108,6 +108,12 @@ def how_ended(ended: Ended) -> str:
     return f"exited with status {ended.status}"
 
 
+def why_ended(ended: Ended) -> str:
+    """Return why a part has ended, in its own words if it has said so; else how."""
+    said = ended.last_words.startswith("error: ") and ended.status > 0
+    return ended.last_words.removeprefix("error: ") if said else how_ended(ended)
+
+
 def environment() -> dict[str, str]:
     """Return the environment of a part: it finds our packages, whatever lies in the current folder."""
     found = {**os.environ, LAUNCHER: str(os.getpid()), "PYTHONSAFEPATH": "1"}

@@ -16,6 +16,7 @@ from aircraft.payload.messages import Sample, pack_answer, unpack_question
 from aircraft.remote.command import real_uav
 from aircraft.search.command import Orders
 from aircraft.search.events import Dropout, Hold, Land, OnBoard, Resume, Return
+from aircraft.search.search import RETURNING
 from aircraft.search.uav import Equipment, Speaker
 from link.bus.inbox import Inbox
 from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, READING, WAYPOINT, Key
@@ -194,6 +195,19 @@ def test_the_scripts_operator_sends_it_home() -> None:
     cockpit = Cockpit("px4")
     bus = fly(cockpit, lambda _: cockpit.ap.mode == "RTL", Return(step=1))
     assert len(bus.readings) == 2
+
+
+def test_the_last_error_of_a_vehicle_that_has_failed_is_why_and_not_that_it_returns() -> None:
+    """By it the estimator says why it leaves a search of several."""
+    cockpit = Cockpit("px4", "low@+15")
+    said: dict[str, str] = {}
+
+    def returns(bus: Others) -> object:
+        said[bus.tally.state] = bus.tally.last_error
+        return bus.tally.state == RETURNING
+
+    fly(cockpit, returns)
+    assert said[RETURNING] == "Battery low: 14%"
 
 
 def test_a_warning_from_the_ground_is_not_the_last_error_of_a_flight() -> None:

@@ -9,9 +9,9 @@ import msgspec
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.keys import BELIEF, DEPARTURE, HEALTH, MAVLINK_OUT, STOP
+from link.bus.keys import BELIEF, DEPARTURE, HEALTH, LEAVE_OUT, MAVLINK_OUT, STOP
 from link.bus.mavlink import Codec, unpack
-from link.bus.messages import Departure, Health, RoundReading, Stop
+from link.bus.messages import Departure, Health, LeaveOut, RoundReading, Stop
 from link.bus.session import Arrival
 from sitl.launch import launcher as module
 from sitl.launch.disturbances import Disturbances
@@ -245,7 +245,7 @@ DIES = Ended("uav/2", 1, "error: link lost for 100 s")
         ),
         (
             [DIES, departure("gone from the bus for 12 s"), of_round(1, 1), of_vehicle(1, "landed")],
-            "exited with status 1",
+            "link lost for 100 s",
         ),
     ],
     ids=["after it has left", "and leaves by that"],
@@ -259,3 +259,30 @@ def test_one_of_several_that_dies_takes_no_outcome_with_it_which_says_why_it_lef
     flown = watch(bus, monkeypatch, Launch(script=script, patience_s=PATIENCE_S)).until_the_end()
     assert flown.outcome.steps == 1
     assert [(left.vehicle, left.step, left.reason) for left in flown.outcome.left] == [(2, 1, reason)]
+
+
+@pytest.mark.parametrize(
+    ("ends", "reason"),
+    [
+        (DIES, "link lost for 100 s"),
+        (Ended("uav/2", 1, "error: " + 300 * "x"), 200 * "x"),
+        (Ended("uav/2", -9, "error: link lost for 100 s"), "was killed by signal 9"),
+        (Ended("uav/2", 1, "uav/2: warning: link lost"), "exited with status 1"),
+    ],
+    ids=["with words", "with long words", "killed", "without words"],
+)
+def test_one_of_several_that_ends_on_the_ground_leaves_for_the_reason_that_it_gives(
+    monkeypatch: pytest.MonkeyPatch, ends: Ended, reason: str
+) -> None:
+    script = Script(seed=7).changed({"agent.budget": 1, "fleet.vehicles": 2})
+    bus = FallsSilent(
+        of_vehicle(1, "standby"),
+        of_vehicle(2, "standby"),
+        ends,
+        of_round(0, 1),
+        of_round(1, 1),
+        of_vehicle(1, "landed"),
+    )
+    watch(bus, monkeypatch, Launch(script=script, patience_s=PATIENCE_S)).until_the_end()
+    (order,) = [message for key, message, _ in bus.published if key is LEAVE_OUT]
+    assert msgspec.json.decode(order, type=LeaveOut) == LeaveOut(2, reason)
