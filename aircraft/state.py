@@ -14,6 +14,7 @@ from plume.problem import AREA, CLEARANCE_M, Area, Fenced
 # the ground.
 Ned = tuple[float, float, float]
 ZERO: Ned = (0.0, 0.0, 0.0)
+OTHER_TARGET = "to another target"  # how a pilot takes a vehicle without a change of its mode
 LOW_BATTERY = 0.15  # share of the charge at which the low-battery warning comes; PX4's default
 
 

@@ -12,7 +12,7 @@ from aircraft.firmware import COMING_DOWN
 from aircraft.operator import NO_ANSWER
 from aircraft.remote.commander import Commander, Steps
 from aircraft.remote.known import Known
-from aircraft.state import Ned, Result, Said, TakenOver
+from aircraft.state import OTHER_TARGET, Ned, Result, Said, TakenOver
 from link.modes import Mode
 
 ARMING_S, ARM_AGAIN_S = 60.0, 3.0  # a refused arming is tried again every ARM_AGAIN_S, for at most ARMING_S
@@ -206,7 +206,7 @@ class Procedures:
         ours = self.targets.takes(known.target)
         follows = known.custom_mode == self.guided and self.doing in (None, Mode.TAKEOFF, Mode.OFFBOARD)
         if not ours and follows and self.in_charge:
-            self._give_way(f"{known.mode_name} to another target")
+            self._give_way(f"{known.mode_name} {OTHER_TARGET}")
 
     def _give_way(self, how: str) -> None:
         """Note that someone else leads: from now on nothing of ours goes out."""

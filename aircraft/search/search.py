@@ -7,6 +7,7 @@ the search then leads again only when it is given back: a simulated vehicle by O
 command to its search. Setpoints are the leader's alone.
 """
 
+import math
 from collections.abc import Callable
 from typing import Literal
 
@@ -14,7 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.aircraft import Aircraft
 from aircraft.operator import BY_LAUNCHER, MODES_WANTED, CommandName
-from aircraft.state import ACCEPTED, Ned, Result, denied, not_now
+from aircraft.state import ACCEPTED, OTHER_TARGET, Ned, Result, denied, not_now
 from link.bus.mavlink import WRAP_MS, Message, elapsed_ms
 from link.bus.messages import Stop
 from link.modes import Mode
@@ -28,6 +29,8 @@ LOCAL_NED, NO_POSITION = mavlink.MAV_FRAME_LOCAL_NED, 0b111
 AFTER_STOP: dict[AfterStop, Mode] = {"return": Mode.RETURN, "land": Mode.LAND, "hold": Mode.HOLD}
 STANDBY, TAKING_OFF, SEARCHING, PAUSED = "standby", "taking off", "searching", "paused"
 RETURNING, HOLDING, LANDED = "returning", "holding", "landed"
+# An autopilot whose motors have stopped may forget its target so long before it tells of them, s.
+FORGETS_S = 2.0
 
 
 class Answers:
@@ -93,6 +96,7 @@ class Search:
         self._begun = False
         self._said = ""
         self._pilot = ""  # how, and by whom, the vehicle was last taken from the search
+        self._other_target_s = -math.inf  # when that was by another target
 
     @property
     def leads(self) -> bool:
@@ -156,8 +160,10 @@ class Search:
                 self._begin(now_s)
         elif not self.vehicle.armed and not self.vehicle.moving:
             when = "while it took off" if self.state == TAKING_OFF else "in flight"
-            stopped = f"ended by a pilot or the autopilot: the motors have stopped {when}" * self.leads
-            ended = f"ended by the pilot: {self._pilot}" if self._pilot else stopped
+            forgot = now_s - self._other_target_s <= FORGETS_S
+            stopped = f"ended by a pilot or the autopilot: the motors have stopped {when}"
+            stopped *= self.leads or forgot
+            ended = f"ended by the pilot: {self._pilot}" if self._pilot and not forgot else stopped
             self._said, self.leads, self.state = "", False, LANDED
             if ended and not self.is_over and not self.vehicle.failure:
                 self._say_once(ended)
@@ -188,6 +194,7 @@ class Search:
         """Someone else leads from now on; `by`: who, if that is known."""
         gives_way, self.leads = "Search gives way: " * self.leads, False
         self._pilot = "" if by == BY_LAUNCHER else f"{mode} by {by or 'a radio or a ground station'}"
+        self._other_target_s = self.vehicle.now_s if mode.endswith(OTHER_TARGET) else -math.inf
         self._say(mavlink.MAV_SEVERITY_WARNING, f"{gives_way}{mode} by {by or 'the autopilot or its pilot'}")
 
     def give_back(self, by: str) -> Result:

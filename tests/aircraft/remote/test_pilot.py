@@ -334,16 +334,22 @@ def test_a_search_that_a_pilot_ends_says_by_whom_and_how(kind: str) -> None:
 
 @both
 def test_a_search_whose_motors_are_stopped_in_flight_says_so(kind: str) -> None:
-    """Or, where ArduCopter forgets its target before its HEARTBEAT tells of the motors, that it is a
-    pilot's.
-    """
+    """ArduCopter forgets its target before its HEARTBEAT tells of the motors: that target is no pilot's."""
     cockpit = searching(kind)
     cockpit.ap.disarm()
     cockpit.until(lambda: cockpit.search.state == LANDED)
     assert cockpit.said[-1] == cockpit.search.waits_for
-    assert cockpit.said[-1].startswith(
-        ("ended by a pilot or the autopilot: the motors have stopped in flight", "ended by the pilot: GUIDED")
-    )
+    assert cockpit.said[-1] == "ended by a pilot or the autopilot: the motors have stopped in flight"
+
+
+def test_a_pilot_who_flies_it_to_another_target_for_longer_ends_the_search_even_if_the_motors_stop() -> None:
+    cockpit = searching("ardupilot")
+    cockpit.ap.go_to(elsewhere(cockpit))
+    cockpit.until(lambda: cockpit.search.state == PAUSED)
+    cockpit.run(5.0)
+    cockpit.ap.disarm()
+    cockpit.until(lambda: cockpit.search.state == LANDED)
+    assert cockpit.said[-1] == f"ended by the pilot: GUIDED to another target by {A_RADIO}"
 
 
 @pytest.mark.parametrize(
