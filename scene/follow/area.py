@@ -33,6 +33,8 @@ class AreaFrame:
     def __init__(self) -> None:
         # The area's origin, latitude and longitude, degrees; None: it is the vehicle's home.
         self._area: tuple[float, float] | None = None
+        # Whether it is one of several, of which a simulated one takes off where it stands and returns there.
+        self.is_shared = False
         self._autopilot = -1
         self.forget()
 
@@ -43,6 +45,7 @@ class AreaFrame:
         self._origin: Fix | None = None
         self._home: Fix | None = None  # the frame's origin
         self._newest_home: Fix | None = None
+        self._stand: tuple[float, float] | None = None  # where it was first heard to stand, (x, y) m
 
     @property
     def zero(self) -> Ned | None:
@@ -60,7 +63,7 @@ class AreaFrame:
     def own_home(self) -> tuple[float, float]:
         """Where the vehicle's own home is, (x, y) m; the frame's origin unless the search has another one."""
         if not (self._area and self._home):
-            return 0.0, 0.0
+            return self._stand or (0.0, 0.0)
         north, east, _ = home_from((*self._area, 0.0), self._home)
         return east, north
 
@@ -104,7 +107,11 @@ class AreaFrame:
             return None
         north, east, down = (local[name] - part for name, part in zip("xyz", zero, strict=True))
         place = east, north, -down
-        return place if all(map(math.isfinite, place)) else None
+        if not all(map(math.isfinite, place)):
+            return None
+        if self.is_shared and self.on_ground and self._stand is None:
+            self._stand = place[:2]
+        return place
 
 
 def _fix(fields: dict[str, Any]) -> Fix:

@@ -170,7 +170,7 @@ class History:
         if number := vehicle_of(key):
             if number != str(self._number):
                 return False
-            key = row_name(key)
+            key, self._area.is_shared = row_name(key), True
         self.time_s = max(self.time_s, time_s)
         if key != RECORDER:
             self.wall_s = max(self.wall_s, wall_s)

@@ -276,6 +276,22 @@ def test_in_a_search_of_several_it_is_as_far_from_home_as_from_where_it_returns_
     assert heard.craft.home_m == pytest.approx(5.0, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("key", "away_m"), [("uav/2/mavlink/out", 5.0), ("mavlink/out", math.hypot(30.0, 24.0))]
+)
+def test_a_simulated_one_of_several_is_as_far_from_home_as_from_where_it_took_off(
+    key: str, away_m: float
+) -> None:
+    """Its HOME_POSITION is the area's origin, as for all; alone it takes off there."""
+    history = History(Backdrop("uav/2"), number=2)
+    took_off = beat(6 << 16, PX4), home(0.0, 0.0), landed(1), local(26.0, 27.0, 0.0)
+    history.take(key, Codec(2, 1).pack(*took_off, landed(2), local(30.0, 24.0, -5.0, 1100)), b"", 1.0, 1.0)
+    assert history.craft
+    assert history.craft.home_m == pytest.approx(away_m)
+    history.take(key, Codec(2, 1).pack(local(26.0, 27.0, 0.0, 1200), landed(1)), b"", 2.0, 2.0)
+    assert history.craft.home_m == pytest.approx(0.0 if away_m == 5.0 else math.hypot(26.0, 27.0))
+
+
 def test_a_vehicle_that_a_search_flies_is_a_real_one(heard: Heard) -> None:
     assert not heard(beat(6 << 16, PX4)).history.is_real
     assert heard(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), codec=heard.search).history.is_real
