@@ -208,7 +208,7 @@ class History:
         return False
 
     def _take_departure(self, said: Departure) -> bool:
-        """Take that a vehicle has left the search: it is said by the estimator, and again by each vehicle."""
+        """Take that a vehicle has left the search: it is said by the estimator, and again by the agent."""
         if said.vehicle in self._left:
             return False
         self._left.add(said.vehicle)
