@@ -78,6 +78,7 @@ EVENT = re.compile("Script: .*")  # what a vehicle says of an event of the scrip
 # Real time that record and trace may lag behind the mission's end: a part that was cut off receives first
 # what it missed.
 LAG_S = 5.0
+LINES_S = 0.5  # real time that a vehicle's lines may lag behind what it says on the bus
 MOST_REASON = 200  # characters of why a vehicle is left out
 
 
@@ -276,6 +277,9 @@ class MissionWatch:
         self._await_record(last.step)
         deadline = time.monotonic() + LAG_S
         while self._heard.trace.missing and (left_s := deadline - time.monotonic()) > 0:
+            self._listen(left_s)
+        deadline = time.monotonic() + LINES_S
+        while self._missed() and (left_s := deadline - time.monotonic()) > 0:
             self._listen(left_s)
         return self._flown(last)
 
@@ -515,11 +519,19 @@ class MissionWatch:
                 return
             self._listen(deadline - time.monotonic())
 
-    def _has_happened(self, event: ScriptEvent) -> bool:
-        """Whether an event has happened that has a time."""
-        if isinstance(event, OnBoard):
-            return words(event) in self._happened
-        return not any(event is each for each in self._disturbances.to_come)
+    def _missed(self) -> list[ScriptEvent]:
+        """Return the events that have a time and have not happened."""
+        to_come = self._disturbances.to_come
+        return [
+            event
+            for event in self._mission.script.events
+            if event.time_s is not None
+            and (
+                words(event) not in self._happened
+                if isinstance(event, OnBoard)
+                else any(event is each for each in to_come)
+            )
+        ]
 
     def _flown(self, last: Belief) -> Flown:
         script, heard = self._mission.script, self._heard
@@ -529,10 +541,11 @@ class MissionWatch:
             raise MissionFailed(f"{lost}: the trace has gaps")
         if missing:
             self._progress.say(f"warning: {lost}: of these the trace has the readings")
+        missed = self._missed()
         for number, event in enumerate(script.events):
             if event.step is not None and event.step > last.step:
                 when = f"step {event.step}"
-            elif event.time_s is not None and not self._has_happened(event):
+            elif any(event is each for each in missed):
                 when = f"time {event.time_s:g} s"
             else:
                 continue
