@@ -6,6 +6,7 @@ Mission i is bit-identical to mission i run alone.
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 
 import numpy as np
 
@@ -52,7 +53,7 @@ class Batch:
         self._seeds = np.empty(count, np.uint64)
         self._readings, self._ranks = np.empty((count, 64, first.columns)), np.empty((count, 64))
         self._configs = list(configs)
-        self._threads, self._pool = threads, ThreadPoolExecutor(threads)
+        self._threads = threads
         for mission, config in enumerate(configs):
             self.begin(mission, config)
 
@@ -116,6 +117,14 @@ class Batch:
             return
         portion = min(MISSIONS_PER_TASK, -(-len(missions) // self._threads))
         list(self._pool.map(task, np.split(missions, range(portion, len(missions), portion))))
+
+    @cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(self._threads)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return what a copy is made of: it starts threads of its own."""
+        return {name: value for name, value in self.__dict__.items() if name != "_pool"}
 
     def may_claim(self, mission: int) -> bool:
         """True if the mission may claim a find, as by `estimator.belief.may_claim`."""

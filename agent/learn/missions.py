@@ -88,7 +88,6 @@ class Missions:
         self.worlds = [self._world(*pair) for pair in zip(self.seeds.tolist(), self.problems, strict=True)]
         self._loses = any(world.errors.lost for world in self.worlds)
         self._batch = Batch([self._told(mission) for mission in range(count)], threads)
-        self.estimates = self._batch.means[:, :2]  # (B, 2) m, which changes with the batch
         self._read(np.arange(count))
 
     def begin(self, missions: Indices, seeds: Sequence[int]) -> None:
@@ -121,6 +120,11 @@ class Missions:
         self.distances_m += lengths_m
         self.positions[:] = waypoints
         self._read(np.arange(len(self.steps)))
+
+    @property
+    def estimates(self) -> Array:
+        """(B, 2) m, which change with the batch."""
+        return self._batch.means[:, :2]
 
     @property
     def located(self) -> NDArray[np.bool_]:

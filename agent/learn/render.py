@@ -30,6 +30,10 @@ class Onlooker:
         # One of scene/drawing.py for each mission; None until it is drawn.
         self._drawings: list[Any] = []
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy is made of: it draws anew."""
+        return self.__dict__ | {"_drawings": [None] * len(self._drawings)}
+
     def look(self, missions: Missions) -> None:
         """Note the newest reading of each mission. To be called after each reset and step."""
         count = len(missions.steps)

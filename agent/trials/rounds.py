@@ -56,7 +56,7 @@ class Rounds:
         self._time = RoundTime(world, starts)
         self._before: list[Before | None] = [None] * len(starts)
         self._read_at: dict[int, tuple[Place, Place]] = {}  # where each vehicle has read, first and last
-        self._leaving, self._forgotten, self._joining = leaving, forgotten, joining
+        self._leaving, self._forgotten, self._joining = dict(leaving), forgotten, dict(joining)
         # Of the vehicles of the last round; before the first of those that begin.
         self.numbers: Sequence[int] = [
             number for number in range(1, len(starts) + 1) if not self._joins(number)
