@@ -76,7 +76,7 @@ def named(name: str) -> Named:
         world.errors(0)
         with suppress(NoRelease):
             world.air(draw(0), 0)
-    except Exception as error:  # it may be anybody's code
+    except (Exception, SystemExit) as error:  # it may be anybody's code
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         said = " ".join(str(error).split())[:LONGEST]
         raise ValueError(f"world {name!r} is not allowed: {kind}{said}") from error
@@ -147,7 +147,7 @@ def _plugged_in(kind: str) -> Make:
     try:
         make: Make = plugins[0].load()
         allowed = _allowed(make)
-    except Exception as error:  # it may be anybody's code
+    except (Exception, SystemExit) as error:  # it may be anybody's code
         said = " ".join(str(error).split())[:200]
         raise ValueError(
             f"world {kind} of {plugins[0].value} does not load: {type(error).__name__}: {said}"

@@ -119,8 +119,17 @@ class World:
         """
         for place in chain([source], others):
             with suppress(NoRelease):
-                return place, chosen.air(msgspec.structs.replace(self.truth, source=place), seed)
-        return source, chosen.air(msgspec.structs.replace(self.truth, source=source), seed)
+                return place, self._air_of(chosen, place, seed)
+        return source, self._air_of(chosen, source, seed)
+
+    def _air_of(self, chosen: Named, source: Place, seed: int) -> Air:
+        """Return the air with the source there. Raises NoRelease or WorldError."""
+        try:
+            return chosen.air(msgspec.structs.replace(self.truth, source=source), seed)
+        except NoRelease:
+            raise
+        except (Exception, SystemExit) as error:  # it may be anybody's code
+            raise _failure(self.name, chosen, error) from error
 
     def _sources(self, chosen: Named) -> Iterator[Place]:
         """Draw the source anew, as it was drawn; never, if the scenario says where it is."""
@@ -352,14 +361,8 @@ def _asked_along(world: World, places: Array, times_s: Array) -> tuple[Array, Ar
         said = world.air(places, times_s)
         gas = np.asarray(said[0], np.float64).reshape(len(places))
         winds = np.asarray(said[1], np.float64).reshape(len(places), 2)
-    except Exception as error:
-        if isinstance(error, ValueError) and named(world.name).make.__module__.startswith("plume."):
-            raise BrokenFile(str(error)) from None
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        raise WorldError(
-            f"world {world.name} failed: {type(error).__name__}: {' '.join(str(error).split())[:200]} "
-            f"({Path(where.filename).name}, line {where.lineno})"
-        ) from error
+    except (Exception, SystemExit) as error:  # it may be anybody's code
+        raise _failure(world.name, named(world.name), error) from error
     sound = (np.abs(winds) <= MOST).all(axis=1) & (gas >= 0) & (gas <= MOST)  # false of NaN, too
     if not sound.all():
         wrong = int(np.argmin(sound))
@@ -368,3 +371,14 @@ def _asked_along(world: World, places: Array, times_s: Array) -> tuple[Array, Ar
             f"0 to {MOST:g} g/m³, and a wind of such numbers"
         )
     return gas, winds
+
+
+def _failure(name: str, chosen: Named, error: BaseException) -> WorldError:
+    """Return what is to be raised where a world of this name has failed."""
+    if isinstance(error, ValueError) and chosen.make.__module__.startswith("plume."):
+        return BrokenFile(str(error))
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return WorldError(
+        f"world {name} failed: {type(error).__name__}: {' '.join(str(error).split())[:200]} "
+        f"({Path(where.filename).name}, line {where.lineno})"
+    )

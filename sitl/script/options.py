@@ -9,7 +9,7 @@ from plume.problems.fleet import Fleet
 from plume.problems.names import PROBLEMS
 from plume.problems.options import FLEET_FLAGS, add_problem_argument
 from plume.randomness import MAX_SEED
-from plume.scenario import AS_MODELLED, NoRelease
+from plume.scenario import AS_MODELLED, NoRelease, WorldError
 from plume.sensors import names as sensor
 from plume.worlds.names import ABOUT, check, kinds
 from sitl.script.script import SAME, Script, VehiclePart, check_places, find, load, shipped
@@ -130,7 +130,7 @@ def script_of(args: argparse.Namespace) -> Script:
         raise BadInput(f"--{flag}: {said}" if flag in given else f"--problem: {error}") from None
     try:
         script.simulated()
-    except NoRelease as error:
+    except (NoRelease, WorldError) as error:
         raise blamed(args, "--world", str(error)) from None
     if args.mission:
         check_places(Document(find(args.mission)), script)

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -134,6 +135,18 @@ def bare(scenario, seed, *, share):
 def raising(scenario, seed, *, share: float = 0.1):
     """A world that cannot be made."""
     raise KeyError("lost")
+
+
+def leaving(scenario, seed):
+    """A world that ends the program."""
+    raise SystemExit(3)
+
+
+def choosy(scenario, seed):
+    """A world that cannot be made of each release."""
+    if scenario.source != (3.0, 4.0):
+        return lambda places, times_s: (0.0, (1.0, 0.0))
+    raise SystemExit(3)
 '''
 
 
@@ -149,6 +162,8 @@ def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
         gone="gone",
         bare="bare",
         raising="raising",
+        leaving="leaving",
+        choosy="choosy",
     )
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(
@@ -170,16 +185,27 @@ def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
         named("bare")
     with pytest.raises(ValueError, match=r"^world 'raising' is not allowed: KeyError: 'lost'$"):
         named("raising")
+    with pytest.raises(ValueError, match=r"^world 'leaving' is not allowed: SystemExit: 3$"):
+        named("leaving")
+    elsewhere = msgspec.structs.replace(draw(1), source=(3.0, 4.0))
+    with pytest.raises(WorldError, match=r"^world choosy failed: SystemExit: 3 \(badworlds\.py, line 31\)$"):
+        World(elsewhere, 1, name="choosy")
     assert worlds()["gone"].startswith("world gone of badworlds:gone does not load")
 
 
 @pytest.mark.full
 def test_a_plug_in_that_fails_ends_a_mission_with_a_line(tmp_path: Path) -> None:
-    install(tmp_path, "badworlds", BAD, broken="broken")
-    fly = ["sitl", "fly", "--speedup", "0", "--no-record"]
-    for command, status in ((["agent", "rollout"], 1), (fly, 2)):
+    install(tmp_path, "badworlds", BAD, broken="broken", choosy="choosy")
+    place = ["--problem", '{"source": [3, 4]}']
+    rollout, fly = ["agent", "rollout"], ["sitl", "fly", "--speedup", "0", "--no-record"]
+    for command, world, status, said in (
+        (rollout, "broken", 1, "world broken failed: ZeroDivisionError: "),
+        (fly, "broken", 2, "world broken failed: ZeroDivisionError: "),
+        ([*rollout, *place], "choosy", 1, "world choosy failed: SystemExit: 3 (badworlds.py, line "),
+        ([*fly, *place], "choosy", 2, "--world: world choosy failed: SystemExit: 3 (badworlds.py, line "),
+    ):
         done = subprocess.run(
-            [sys.executable, "-m", *command, "--world", "broken"],
+            [sys.executable, "-m", *command, "--world", world],
             capture_output=True,
             text=True,
             cwd=tmp_path,
@@ -187,6 +213,4 @@ def test_a_plug_in_that_fails_ends_a_mission_with_a_line(tmp_path: Path) -> None
             timeout=400,
         )
         last = done.stderr.splitlines()[-1]
-        assert (done.returncode, "world broken failed: ZeroDivisionError: " in last) == (status, True), (
-            done.stderr
-        )
+        assert (done.returncode, said in last) == (status, True), done.stderr
