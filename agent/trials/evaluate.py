@@ -8,14 +8,16 @@ import csv
 import errno
 import gzip
 import json
+import math
 import os
 import re
 import sys
 import zlib
 from collections.abc import Iterator, Sequence
 from itertools import filterfalse, groupby
+from operator import attrgetter
 from pathlib import Path
-from typing import IO, Any, TextIO, cast
+from typing import IO, Any, TextIO, cast, get_type_hints
 
 import msgspec
 
@@ -30,12 +32,20 @@ from link.terminal import Column, table, tell, width_of
 from plume.problems.names import PROBLEMS
 from plume.problems.options import add_fleet_arguments, add_problem_argument, problem_of
 from plume.randomness import MAX_SEED
-from plume.scenario import AS_MODELLED
+from plume.scenario import AS_MODELLED, SUCCESS_RADIUS_M
 from plume.worlds.names import ABOUT, check, kinds, separate
 
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
 EXACT = ("threshold_m", "step_m", "margin_m", "separation_m")  # columns that --resume compares with settings
+PLACES = ("estimate_x", "estimate_y", "source_x", "source_y")
+# The least number of each column of numbers.
+LEAST = {
+    name: -math.inf if name in PLACES else float(name in ("particles", "vehicles"))
+    for name, kind in get_type_hints(MissionRow).items()
+    if kind in (int, float, int | None, float | None)
+}
+NUMBERS = attrgetter(*LEAST)
 LONGEST_LINE, MOST_ROWS = 10_000, 1_000_000
 MOST_SCENARIOS, MOST_WORKERS = 10_000_000, 4096
 # Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All are
@@ -310,8 +320,25 @@ def _row(columns: Sequence[str], values: Sequence[str]) -> MissionRow:
         raise ValueError("the number of values differs from the number of columns")
     said = {name: value or None for name, value in zip(columns, values, strict=True)}
     row = msgspec.convert(said, MissionRow, strict=False)
+    _check(row)
     # Files of older versions have a planner's numbers for learned policies too.
     return msgspec.structs.replace(row, headings=None, measurements=None) if bundle_path(row.policy) else row
+
+
+def _check(row: MissionRow) -> None:
+    """Raise ValueError on a row that no mission can have had: a hand, or another program, has changed it."""
+    for value, (name, least) in zip(NUMBERS(row), LEAST.items(), strict=True):
+        if value is not None and not (least <= value < math.inf and value > -math.inf):
+            wanted = "a finite number" if name in PLACES else f"a number from {least:g}"
+            raise ValueError(f"{name} {value} is not allowed; wanted {wanted}")
+    if row.located and row.outside:
+        raise ValueError("located and outside are both True; wanted one of them at most")
+    if not row.ceased and (row.located or row.outside):
+        raise ValueError("it has not ceased, and yet is located or outside")
+    if row.located and row.error_m > SUCCESS_RADIUS_M:
+        raise ValueError(f"located, with error_m {row.error_m:g}; wanted {SUCCESS_RADIUS_M:g} at most")
+    if row.steps > row.budget:
+        raise ValueError(f"steps {row.steps} is not allowed; wanted {row.budget} at most, the budget")
 
 
 def _open(path: Path, mode: str, *, compressed: bool) -> IO[str]:

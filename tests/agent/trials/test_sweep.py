@@ -1,5 +1,6 @@
 """Protects sweeps: a row is what a rollout says, whoever flies it and however often the sweep was cut off."""
 
+import csv
 import gzip
 import itertools
 import math
@@ -675,6 +676,35 @@ def test_a_table_that_was_cut_off_is_refused_by_name(tmp_path: Path) -> None:
     for name in ("half.csv.gz", "half.csv", "more.csv"):
         with pytest.raises(ValueError, match=rf"{name}: line \d+: "):
             read_csv(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"distance_m": "-3"}, "distance_m -3.0 is not allowed; wanted a number from 0"),
+        ({"search_time_s": "nan"}, "search_time_s nan is not allowed; wanted a number from 0"),
+        ({"estimate_x": "inf"}, "estimate_x inf is not allowed; wanted a finite number"),
+        ({"vehicles": "0"}, "vehicles 0 is not allowed; wanted a number from 1"),
+        ({"steps": "301"}, "steps 301 is not allowed; wanted 300 at most, the budget"),
+        ({"ceased": "False"}, "it has not ceased, and yet is located or outside"),
+        ({"outside": "True"}, "located and outside are both True; wanted one of them at most"),
+        ({"error_m": "1.5"}, "located, with error_m 1.5; wanted 1 at most"),
+    ],
+)
+def test_a_row_that_no_mission_can_have_had_is_refused_with_its_line(
+    tmp_path: Path, changes: dict[str, str], said: str
+) -> None:
+    path = tmp_path / "rows.csv"
+    write_csv([ROW, ROW], path)
+    with path.open(newline="") as file:
+        first, second = csv.DictReader(file)
+    assert first.keys() > changes.keys()
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [*first])
+        writer.writeheader()
+        writer.writerows([first, second | changes])
+    with pytest.raises(ValueError, match=rf"rows\.csv: line 3: {said}$"):
+        read_csv(path)
 
 
 def test_a_table_that_cannot_be_finished_leaves_the_one_before(tmp_path: Path) -> None:
