@@ -182,10 +182,15 @@ def run(args: argparse.Namespace) -> int:
     ):
         raise cli.BadInput(refusal)
     try:
-        there = read_csv(args.missions) if args.resume and args.missions and args.missions.exists() else []
+        there = _there(args)
     except (OSError, ValueError) as error:
         raise cli.BadInput(f"--missions: {error}") from error
     return _evaluate(there, args)
+
+
+def _there(args: argparse.Namespace) -> list[MissionRow]:
+    """Return the rows that --resume keeps. Raises OSError or ValueError."""
+    return read_csv(args.missions) if args.resume and args.missions and args.missions.exists() else []
 
 
 def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
@@ -229,8 +234,9 @@ def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
         return cli.failed(f"{error}; {saved()}")
     if args.missions and len(complete(sweep, there)) < sweep.count:  # a file that has all stays as it is
         try:
-            write_csv([*filterfalse(answers(sweep), there), *rows], args.missions)
-        except OSError as error:
+            # Read again: another command may have added rows to it meanwhile.
+            write_csv([*filterfalse(answers(sweep), _there(args)), *rows], args.missions)
+        except (OSError, ValueError) as error:
             raise cli.BadInput(
                 f"--missions: {error}; the missions are saved: run the command again with another file"
             ) from error

@@ -284,6 +284,23 @@ def test_rows_of_another_problem_stay_in_the_table(tmp_path: Path, monkeypatch: 
     assert (wide.problem, paper.problem) == ('{"area":{"low":[-20.0,0.0],"high":[80.0,50.0]}}', "paper")
 
 
+def test_rows_that_another_command_adds_to_the_table_meanwhile_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    flags = "--policy greedy --scenarios 1 --particles 50 --budget 2 --workers 1 --missions missions.csv"
+    on_cores = sweep.on_cores
+
+    def beside_another(workers: int) -> sweep.Flyer:
+        monkeypatch.setattr(sweep, "on_cores", on_cores)
+        assert main(arguments=["evaluate", *flags.split(), "--first-seed", "5", "--resume"]) == 0
+        return on_cores(workers)
+
+    monkeypatch.setattr(sweep, "on_cores", beside_another)
+    assert main(arguments=["evaluate", *flags.split(), "--first-seed", "3", "--resume"]) == 0
+    assert [row.seed for row in read_csv(tmp_path / "missions.csv")] == [5, 3]
+
+
 ROLLED_OUT, EVALUATED = "rollout", "evaluate --scenarios 2 --workers 1"
 
 
