@@ -12,6 +12,7 @@ from ground.logs.samples import INTERVAL_S, Samples, samples, spread_over
 from ground.tlog.background import clean_air
 from ground.tlog.clock import Floats
 from ground.tlog.flight import FARTHEST_M, LoggedFlight, Origin, Sensed, check, fitted_area, note_on_readings
+from ground.tlog.jumps import OUT_OF_REACH, jumped
 from ground.tlog.log import AUTOPILOT, counted
 from ground.tlog.samples import WIND_AGE_MS, Pair
 from link.bus.keys import MAVLINK_OUT, READING
@@ -201,18 +202,24 @@ def _velocity(took: Samples) -> Floats:
 
 
 def _usable(took: Samples, winds: Floats, notes: list[str]) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
-    """Return the indices of the samples with a wind and a place that is not far from all others."""
-    is_far = np.linalg.norm(_flat(took), axis=1) > FARTHEST_M
+    """Return the indices of the samples with a wind and a place where the vehicle can have been."""
+    places = _flat(took)
+    is_far = np.linalg.norm(places, axis=1) > FARTHEST_M
+    near = np.flatnonzero(~is_far)
+    is_away = np.zeros(len(places), np.bool_)
+    is_away[near] = jumped(took.times_s[near], places[near], notes)
     is_calm = np.isnan(winds).any(axis=1)
+    is_lost = is_far | is_away
     for which, what in (
         (is_far, f"more than {FARTHEST_M / 1000:g} km from the middle of the flight"),
-        (is_calm & ~is_far, f"without a wind in the {WIND_AGE_MS / 1000:g} s before"),
+        (is_away, OUT_OF_REACH),
+        (is_calm & ~is_lost, f"without a wind in the {WIND_AGE_MS / 1000:g} s before"),
     ):
         if count := int(np.count_nonzero(which)):
             first = int(np.argmax(which))
             at_s = took.times_s[first] - took.times_s[0]
             notes.append(f"left out: {counted(count, 'sample')} {what}, the first at {at_s:.1f} s")
-    return np.flatnonzero(~is_far & ~is_calm)
+    return np.flatnonzero(~is_lost & ~is_calm)
 
 
 def _length_s(times_s: Floats) -> float:

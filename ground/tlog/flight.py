@@ -10,6 +10,7 @@ import numpy as np
 
 from ground.tlog import track
 from ground.tlog.clock import Floats, VehicleClock, vehicle_clock
+from ground.tlog.jumps import OUT_OF_REACH, jumped
 from ground.tlog.log import AUTOPILOT, Autopilot, FlightLog, choose, open_log
 from ground.tlog.samples import (
     Air,
@@ -115,7 +116,7 @@ def read(
             samples, noise = without_background(samples, source, background, log.notes)
             sensed = Sensed(noise)
         air = read_wind(log, autopilot, clock, wind)
-    taken = _near(_take(samples, every, flying, flown, air, left_out), left_out)
+    taken = _near(_take(samples, every, flying, flown, air, left_out), left_out, log.notes)
     fitted = (area_m or AREA_M, None) if plume else (area_m, home)
     side_m, corner = fitted_area([place for _, place, _ in taken], origin, *fitted)
     readings = _readings(taken, corner, side_m, plume, left_out)
@@ -224,20 +225,24 @@ def _take(
     return taken
 
 
-def _near(taken: list[Taken], left_out: Counter[str]) -> list[Taken]:
-    """Return what lies near the flight's middle, or where a search was: a receiver may jump anywhere."""
+def _near(taken: list[Taken], left_out: Counter[str], notes: list[str]) -> list[Taken]:
+    """Return what lies where the vehicle can have been, or where a search was.
+
+    A receiver may jump anywhere.
+    """
     if not taken:
         return taken
     ground = np.array([place[:2] for _, place, _ in taken])
-    away_m = np.linalg.norm(ground - np.median(ground, axis=0), axis=1).tolist()
-    near = [
-        each
-        for each, m in zip(taken, away_m, strict=True)
-        if m <= FARTHEST_M or each.sample.place is not None
-    ]
+    away_m = np.linalg.norm(ground - np.median(ground, axis=0), axis=1)
+    is_own = np.array([each.sample.place is not None for each in taken])
+    near = np.flatnonzero(is_own | (away_m <= FARTHEST_M))
     if far := len(taken) - len(near):
         left_out[f"more than {FARTHEST_M / 1000:g} km from the middle of the flight"] = far
-    return near
+    times_s = np.array([taken[index].sample.time_ms / 1000.0 for index in near.tolist()])
+    there = near[is_own[near] | ~jumped(times_s, ground[near], notes)]
+    if away := len(near) - len(there):
+        left_out[OUT_OF_REACH] = away
+    return [taken[index] for index in there.tolist()]
 
 
 def fitted_area(

@@ -298,6 +298,20 @@ def test_a_receiver_that_jumps_to_another_country_costs_no_more_than_its_values(
     assert noted(flight, "left out") == "left out: 1 more than 20 km from the middle of the flight"
 
 
+@pytest.mark.parametrize("far_m", [150.0, 5_000.0])
+def test_a_receiver_that_jumps_for_a_moment_does_not_stretch_the_area(tmp_path: Path, far_m: float) -> None:
+    def place(seconds: float) -> tuple[float, float]:
+        return (far_m, 0.0) if 6.0 < seconds < 7.0 else eastward(seconds)
+
+    log, clean = Recorder(), Recorder()
+    fly(log, 0.0, 12.0, place=place)
+    fly(clean, 0.0, 12.0)
+    flight, wanted = read(log.write(tmp_path)), read(clean.write(tmp_path, "clean.tlog"))
+    assert flight.area_m == wanted.area_m == 30.0
+    assert readings(flight) == [each for each in readings(wanted) if each.time_boot_ms != 6500]
+    assert noted(flight, "left out") == "left out: 1 out of reach at 100 m/s"
+
+
 def test_a_chosen_area_leaves_out_what_is_not_in_it(tmp_path: Path) -> None:
     log = Recorder()
     fly(log, 0.0, 20.0)  # readings at 1, 3, 5 … 39 m
