@@ -6,6 +6,7 @@ A table may have more rows than memory: what is kept grows with the flight, not 
 import contextlib
 import math
 import re
+from collections import deque
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
@@ -20,6 +21,7 @@ from ground.tlog.clock import Floats
 from ground.tlog.units import STANDARD_C, STANDARD_HPA, GasUnit
 from link.cli import BadInput
 from link.terminal import printable
+from plume.geodesy import EARTH_RADIUS_M
 
 INTERVAL_S = 0.2  # rows within this time are averaged first
 MOST_SAMPLES = 4_000_000
@@ -28,6 +30,8 @@ EPOCH_S, EPOCH_MS, EPOCH_US = 1e8, 1e11, 1e14  # a greater number is a time sinc
 DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})")
 LONGEST = 40  # characters of a value that are quoted
 EARLIER = "earlier than a row before"  # why a row is left out
+# Rows of several vehicles follow each other: far from the row before, and faster than they fly.
+FEW, FAR_M, FAST_MPS = 4, 5.0, 20.0
 LISTED = 5  # reasons that are listed where no row can be used
 QUANTITIES = ("gas", "lat", "lon", "height", "east", "north", "temperature", "pressure", "path")
 
@@ -103,7 +107,8 @@ class _Reader:
         self._counts = [0] * (1 + len(QUANTITIES))
         self._means: list[list[float]] = []
         self._out: dict[str, tuple[int, str]] = {}  # by reason: how many, and the first
-        self._rows = self._used = self._repeated = 0
+        self._rows = self._used = self._repeated = self._to_and_fro = 0
+        self._newest: deque[tuple[float, float, float]] = deque(maxlen=FEW)  # time, latitude, longitude
         self._is_dated = self._has_zone = False
         self._factor = unit.factor()
         self.notes: list[str] = []
@@ -144,6 +149,7 @@ class _Reader:
         if math.isnan(self._first_s):
             self._first_s, self._first_lon = at_s, values[QUANTITIES.index("lon")]
         self._newest_s = at_s
+        self._follow(at_s, *values[1:3])
         if (now := math.floor((at_s - self._first_s) / self._interval_s + 1e-6)) != self._number:
             self._close()
             self._number = now
@@ -154,6 +160,20 @@ class _Reader:
                 self._sums[index] += value
                 self._counts[index] += 1
         self._used += 1
+
+    def _follow(self, at_s: float, lat_deg: float, lon_deg: float) -> None:
+        """Count a row that is far from the row before, and near to one before that."""
+        shrink = math.cos(math.radians(lat_deg))
+
+        def way_m(then: tuple[float, float, float]) -> float:
+            east_deg = shrink * math.remainder(then[2] - lon_deg, 360.0)
+            return EARTH_RADIUS_M * math.radians(math.hypot(then[1] - lat_deg, east_deg))
+
+        *earlier, last = self._newest or [(at_s, lat_deg, lon_deg)]
+        step_m = way_m(last)
+        if step_m > max(FAR_M, FAST_MPS * (at_s - last[0])):
+            self._to_and_fro += any(4.0 * way_m(then) < step_m for then in earlier)
+        self._newest.append((at_s, lat_deg, lon_deg))
 
     def _values(self, row: int, cells: list[str]) -> list[float]:
         """Return a row's quantities; raises _Bad where it has no position or no valid gas."""
@@ -264,6 +284,11 @@ class _Reader:
                 "1 row that repeats the row before but for the time counts once"
                 if self._repeated == 1
                 else f"{self._repeated:,} rows that repeat the row before but for the time count once"
+            )
+        if 3 * self._to_and_fro > self._used:
+            self.notes.append(
+                f"{self._to_and_fro:,} of {self._used:,} rows are far from the row before and near to one "
+                "before that: are there two vehicles in the table? wanted the rows of one"
             )
         columns = dict(zip(("time", *QUANTITIES), np.array(self._means).T, strict=True))
         return Samples(

@@ -225,6 +225,7 @@ def test_what_a_log_holds_while_the_vehicle_stands_counts_once(tmp_path: Path) -
         ({1: "91.5"}, "row 6: latitude is '91.5'; wanted a number from -90 to 90 deg (are latitude and long"),
         ({1: "0", 2: "0.0"}, "row 6: latitude and longitude are 0, 0: no fix; wanted a position"),
         ({1: "51.9"}, "1 sample more than 20 km from the middle of the flight, the first at 4.0 s"),
+        ({1: "51.51"}, "1 sample out of reach at 100 m/s, the first at 4.0 s"),  # 1.1 km in a second
         ({6: "288"}, "row 6: temperature is '288'; wanted a number from -90 to 70 C"),
         ({7: "98000"}, "row 6: pressure is '98000'; wanted a number from 300 to 1100 hPa"),
         (
@@ -247,6 +248,32 @@ def test_a_bad_row_is_left_out_and_named(cells: dict[int, str], words: str, tmp_
     assert others == [
         reading for reading in readings(read(written(tmp_path))) if reading.time_boot_ms != 4000
     ]
+
+
+@pytest.mark.parametrize(
+    ("north_m", "later_s", "count"),
+    [
+        (15.0, 0.0, 39),  # two rows of each second
+        (300.0, 0.0, 78),
+        (300.0, 0.01, 78),  # rows of both within the time over which rows are averaged
+        (300.0, 0.5, 78),
+    ],
+)
+def test_two_vehicles_in_one_table_are_told(
+    tmp_path: Path, north_m: float, later_s: float, count: int
+) -> None:
+    rows = [
+        f"{n + later_s * second},{51.5 + (2.0 * n + north_m * second) / 111_195:.7f},9.25,{n % 7}"
+        for n in range(40)
+        for second in (0, 1)
+    ]
+    notes = read(plain(tmp_path, *rows), columns=PLAIN, wind=CALM, background=0.0).notes
+    assert (
+        f"{count} of 80 rows are far from the row before and near to one before that: are there two vehicles "
+        "in the table? wanted the rows of one"
+    ) in notes
+    alone = read(plain(tmp_path, *rows[::2]), columns=PLAIN, wind=CALM, background=0.0)
+    assert "vehicles" not in "".join(alone.notes)
 
 
 def test_a_status_that_is_not_valid_leaves_its_row_out(tmp_path: Path) -> None:
