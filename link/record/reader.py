@@ -116,8 +116,10 @@ def is_record(path: Path) -> bool:
     A pipe is refused: reading its first bytes would consume them, and could wait forever for a writer.
     """
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise RecordError(f"{path} is not a file that can be read as a log; wanted an .mcap or a .tlog")
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):
+            kind = "a folder" if stat.S_ISDIR(mode) else "a pipe" if stat.S_ISFIFO(mode) else "a device"
+            raise RecordError(f"{path} is {kind}; wanted a file")
         with path.open("rb") as file:
             begin = file.read(len(MCAP0_MAGIC))
     except OSError as error:

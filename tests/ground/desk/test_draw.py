@@ -110,7 +110,7 @@ def test_what_cannot_be_drawn_is_one_line(
 
 def test_a_folder_is_no_log(capsys: pytest.CaptureFixture[str]) -> None:
     assert drawn(".") == 2
-    assert capsys.readouterr().err.startswith("error: . is not a file that can be read as a log; wanted ")
+    assert capsys.readouterr().err.startswith("error: . is a folder; wanted a file")
 
 
 def test_a_file_without_a_belief_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -48,7 +48,7 @@ def test_a_record_of_a_newer_format_is_refused_by_name(tmp_path: Path) -> None:
 def test_a_pipe_and_an_empty_file_are_refused_and_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "empty.mcap").write_bytes(b"")
-    assert "is not a file that can be read as a log" in refused(tmp_path / "pipe")
+    assert refused(tmp_path / "pipe") == f"{tmp_path / 'pipe'} is a pipe; wanted a file"
     assert refused(tmp_path / "empty.mcap").endswith(" is empty")
 
 

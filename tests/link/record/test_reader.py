@@ -120,8 +120,8 @@ def test_a_record_of_another_format_is_refused_by_name(tmp_path: Path, written_a
 def test_a_pipe_a_folder_and_a_device_are_refused_without_being_opened(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.mcap"
     os.mkfifo(pipe)  # opening it would wait for a writer
-    for path in (pipe, tmp_path, Path("/dev/zero")):
-        assert refused(path) == f"{path} is not a file that can be read as a log; wanted an .mcap or a .tlog"
+    for path, kind in ((pipe, "pipe"), (tmp_path, "folder"), (Path("/dev/zero"), "device")):
+        assert refused(path) == f"{path} is a {kind}; wanted a file"
 
 
 def test_an_empty_file_is_called_empty(tmp_path: Path) -> None:
