@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _summary(path: Path, log: LogFile, survey: Survey) -> Summary:
     tables = survey.tables
-    ending, lines = _outcome(log.about, survey)
+    ending, lines = _outcome(log.about, survey, bool(log.shortcoming))
     gaps = survey.gaps() + survey.unreadable
     policy = log.about.get("policy")
     mission = f"{policy}, seed {log.about.get('seed')}" if policy is not None else "mission unknown"
@@ -154,12 +154,12 @@ def _object(about: dict[str, Any], name: str) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _outcome(about: dict[str, Any], survey: Survey) -> tuple[dict[str, Any], list[str]]:
+def _outcome(about: dict[str, Any], survey: Survey, cut: bool) -> tuple[dict[str, Any], list[str]]:
     """Return the outcome as fields and lines; compared with the true source if the log has it."""
     last = survey.last
     if last is None:
         unread = "no readable belief: the outcome of the search is unknown"
-        none = "no belief: there was no search"
+        none = f"no belief: {'the log is cut off before the first' if cut else 'there was no search'}"
         return {"ceased": None}, [unread if "belief" in survey.published_s else none]
     estimate = f"estimate ({last.mean[0]:.2f}, {last.mean[1]:.2f}) ± {last.spread:.2f} m"
     area, world = problem_of(about).area, _object(about, "mission").get("world")

@@ -77,8 +77,6 @@ def run(args: argparse.Namespace) -> int:
         flight = flight_of(args.log)
     except RecordError as error:
         raise cli.BadInput(str(error)) from None
-    if flight is None:
-        raise cli.BadInput(f"{args.log} has no belief that can be read: there was no search")
     picture = _background(args, flight)
     folder = args.out or args.log.with_name(f"{args.log.stem}-findings")
     cli.make_folder("--out", folder, DOCUMENTS, args.force)

@@ -15,7 +15,7 @@ from link.bus.frames import frames_in, messages_in
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, row_name, vehicle_of
 from link.bus.mavlink import Reading, unpack_reading
 from link.bus.messages import Belief, Particles, by_number, unpack_particles
-from link.record.reader import Recording, read
+from link.record.reader import RecordError, Recording, read
 from link.record.record import Entry
 from plume.geodesy import to_global
 from scene.follow.described import Outlines
@@ -87,6 +87,11 @@ class Flight(NamedTuple):
         return f"{taken.total()} readings of {len(taken)} vehicles"
 
     @property
+    def is_flat(self) -> bool:
+        """Whether one value was read at all places: that is no plume."""
+        return len({sample.gas for sample in self.samples}) == 1
+
+    @property
     def began_ns(self) -> int:
         """When the first reading was published, ns since the Unix epoch."""
         return self.samples[0].utc_ns
@@ -103,9 +108,14 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def flight_of(path: Path) -> Flight | None:
-    """Return what a record tells; None if it has no belief that can be read. Raises RecordError."""
-    return gathered(read(path), path)
+def flight_of(path: Path) -> Flight:
+    """Return what a record tells. Raises RecordError, also if it has no belief that can be read."""
+    recording = read(path)
+    flight = gathered(recording, path)
+    if flight is None:
+        why = f"it {recording.shortcoming}" if recording.shortcoming else "there was no search"
+        raise RecordError(f"{path} has no belief that can be read: {why}")
+    return flight
 
 
 def home_of(recording: Recording) -> tuple[Home | None, str]:

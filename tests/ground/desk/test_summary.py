@@ -283,6 +283,14 @@ def test_a_log_that_was_cut_off_is_summed_up_and_says_so(
     assert "CUT OFF" in said(capsys, cut)
 
 
+def test_a_log_that_was_cut_off_before_its_first_belief_is_not_said_to_be_of_no_search(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[:400])
+    assert said(capsys, cut).endswith("\nno belief: the log is cut off before the first\n")
+
+
 def test_an_autopilots_log_is_counted_by_message(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tlog = log.with_suffix(".tlog")
     fields = json.loads(said(capsys, tlog, json=True).splitlines()[-1])

@@ -51,7 +51,11 @@ def test_the_json_is_one_line_on_stdout(log: Path, capsys: pytest.CaptureFixture
     [
         (["none.mcap"], "none.mcap: No such file or directory"),
         (["empty.mcap"], "empty.mcap is empty"),
-        (["."], ". is not a file that can be read as a log"),
+        (["."], ". is a folder; wanted a file"),
+        (
+            ["cut.mcap"],
+            "cut.mcap has no belief that can be read: it is cut off, damaged or still being written",
+        ),
         (["text.tlog"], "plumeward replay text.tlog --findings DIR"),
         (["log.mcap", "--bounds", "1,2,3,4"], "--bounds: only with --background"),
         (["log.mcap", "--background", "none.png"], "--background: none.png: No such file"),
@@ -68,6 +72,7 @@ def test_bad_input_is_one_line(
 ) -> None:
     monkeypatch.chdir(log.parent)
     Path("empty.mcap").touch()
+    Path("cut.mcap").write_bytes(log.read_bytes()[:3000])
     Path("text.tlog").write_text("no record")
     assert written(*words) == 2
     error = capsys.readouterr().err
