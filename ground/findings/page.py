@@ -301,7 +301,12 @@ def _checks(it: Findings) -> list[tuple[str, str]]:
             "Readings fit the model",
             f"p = {significant(last.p_value, 2)} over the last 30; below {INCOMPATIBLE} there is no stop",
         ),
-        ("A plume is needed", f"by {last.evidence:.1f} nats; below {CLEAR:g} there is no stop"),
+        (
+            "A plume is needed",
+            "no: all readings are the same"
+            if it.flight.is_flat
+            else f"by {last.evidence:.1f} nats; below {CLEAR:g} there is no stop",
+        ),
         ("Belief outside the area", f"{100 * last.outside:.1f}%"),
         ("Effective particles", f"{last.effective_sample_size:.0f}"),
     ]

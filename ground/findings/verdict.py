@@ -52,10 +52,9 @@ def verdict(flight: Flight, told: Told) -> Judgement:
             f"{'; '.join(reasons)}.",
             reasons,
         )
-    varied = len({sample.gas for sample in flight.samples}) > 1  # one value at all places is no plume
     met = (
         "the readings hold gas of a source, but its place is not known well enough for a stop"
-        if last.evidence >= CLEAR and varied
+        if last.evidence >= CLEAR and not flight.is_flat
         else "the readings need no source to explain them"
     )
     more = (

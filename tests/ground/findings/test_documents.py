@@ -80,6 +80,11 @@ def found() -> Findings:
     return findings()
 
 
+def text_of(markup: str) -> str:
+    """Return a page without its marks."""
+    return " ".join(re.sub(r"<[^>]*>", " ", markup).split())
+
+
 def collection(it: Findings) -> dict[str, Any]:
     said = json.loads(geojson(it), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
     jsonschema.validate(said, GEOJSON)
@@ -199,6 +204,15 @@ def test_the_page_says_what_was_found_and_what_it_rests_on(found: Findings) -> N
         assert words in text, words
     assert len(re.findall("<svg ", text)) == 2
     assert ">N</text>" in text  # the north arrow
+
+
+def test_of_readings_that_are_all_the_same_the_page_does_not_say_how_much_they_need_a_plume(
+    found: Findings,
+) -> None:
+    same = [sample._replace(gas=2.0) for sample in found.flight.samples]
+    said = text_of(page(replace(found, flight=found.flight._replace(samples=same))))
+    assert "A plume is needed no: all readings are the same" in said
+    assert re.search(r"A plume is needed by [\d.]+ nats", text_of(page(found)))
 
 
 def test_the_page_needs_nothing_from_elsewhere(found: Findings) -> None:
