@@ -3,6 +3,7 @@
 import json
 import os
 import struct
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,28 @@ def test_every_place_at_which_a_numpy_movie_may_be_cut_off(tmp_path: Path) -> No
             assert line == ": head: not that of an array; wanted a .npy file"
         else:
             assert line == f": {length:,} bytes; wanted {len(whole):,} for (1, 4, 3) of float32"
+
+
+def test_a_numpy_movie_that_is_cut_off_while_it_is_open_is_one_line(tmp_path: Path) -> None:
+    """Who looks at a page of it that is gone is ended by the system, so a process of its own looks."""
+    path = writers.npy(tmp_path / "m.npy", np.ones((3, 64, 64)))
+    look = (
+        "import os, sys; from pathlib import Path; import numpy as np\n"
+        "from plume.recorded.opening import opened\n"
+        "path = Path(sys.argv[1]); movie = opened(path); size = path.stat().st_size\n"
+        "place, frame = np.array([[5.0, 60.0, 0.0]]), np.array([2])\n"
+        "print(movie.gas(place, frame)); os.truncate(path, 4096)\n"
+        "try: movie.gas(place, frame)\n"
+        "except ValueError as error: print(error)\n"
+        "os.truncate(path, size); print(movie.gas(place, frame))\n"
+        "path.unlink(); print(movie.gas(place, frame))\n"
+    )
+    size = path.stat().st_size
+    done = subprocess.run([sys.executable, "-c", look, path], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.splitlines()) == (
+        0,
+        ["[1.]", f"{path}: 4,096 bytes are left of {size:,}; wanted all of them", "[0.]", "[0.]"],
+    ), done.stderr
 
 
 @pytest.mark.parametrize(
