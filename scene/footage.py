@@ -16,6 +16,7 @@ from scene.drawing import INK, PLUME, SOURCE, STYLE
 
 SIZE_IN = 9.6, 5.0
 DECADES = 1e3  # from the greatest concentration to the least that is shown
+LEAST, MOST = 1e-200, 1e200  # a scale of colours cannot be of smaller numbers, nor of greater ones
 WALL = ListedColormap(["#9a9a9a"])
 ARROW = 0.12  # length of the wind's arrow, of the width of the map
 
@@ -43,6 +44,7 @@ class Sight(NamedTuple):
 def draw(sight: Sight, path: Path) -> None:
     """Write a picture as PNG. The same sight gives the same file."""
     greatest = max(float(still.gas.max()) for still in sight.stills) or 1.0
+    greatest = min(max(greatest, LEAST), MOST)
     least = greatest / DECADES
     norm = LogNorm(least, greatest)
     left, right, low, high = sight.extent
@@ -53,7 +55,7 @@ def draw(sight: Sight, path: Path) -> None:
         axes = figure.subplots(1, len(sight.stills), sharey=True, squeeze=False)[0]
         for ax, still in zip(axes, sight.stills, strict=True):
             shades = ax.imshow(
-                np.maximum(still.gas, least), norm=norm, cmap=PLUME, origin="lower", extent=sight.extent
+                np.clip(still.gas, least, MOST), norm=norm, cmap=PLUME, origin="lower", extent=sight.extent
             )
             if sight.walls is not None:
                 walls = np.ma.masked_equal(sight.walls.astype(float), 0.0)

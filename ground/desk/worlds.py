@@ -84,13 +84,15 @@ def looked_at(footage: Footage) -> Look:
     places = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, source[2])])
     gas = np.array([footage.gas(places, np.full(x.size, frame)) for frame in frames]).reshape(-1, *x.shape)
     above = gas[gas > 0]
+    with np.errstate(over="ignore"):  # of numbers that no gas has
+        mean, typical = gas.mean(axis=0), float(np.median(above)) if len(above) else 0.0
     return Look(
         frames,
         gas[len(frames) // 2],
-        gas.mean(axis=0),
+        mean,
         float(gas.max()),
         frames[int(gas.max(axis=(1, 2)).argmax())],
-        float(np.median(above)) if len(above) else 0.0,
+        typical,
         len(above) / gas.size,
         tuple(footage.wind(source[None], np.zeros(1, np.int64))[0][0].tolist()) if facts.windy else None,
         footage.walls(float(source[2])),

@@ -135,6 +135,10 @@ class PlacedFootage:
 
         places: (M, 3) m.  times_s: (M,) s of the mission.  Raises ValueError on a broken file.
         """
+        with np.errstate(over="ignore", invalid="ignore"):  # who asks refuses what no air can say
+            return self._air(places, times_s)
+
+    def _air(self, places: Array, times_s: Array) -> tuple[Array, Array]:
         moved = (places - self._at) / self._scale
         east, north = moved[:, 0], moved[:, 1]
         there = np.empty_like(moved)

@@ -3,6 +3,7 @@ the picture shows it; a file that is wrong is one line.
 """
 
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,18 @@ def test_the_picture_shows_gas_walls_and_source_where_they_are(
     assert capsys.readouterr().err == f"error: --out: '{picture}' exists; wanted another name, or --force\n"
     assert shown(capsys, run, "-o", picture, "--force")
     assert picture.read_bytes() == before  # the same plume is the same file
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("value", [1.7e308, 5e-324, -0.0, np.inf])
+def test_a_plume_of_numbers_that_no_gas_has_is_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], value: float
+) -> None:
+    movie, picture = writers.npy(tmp_path / "m.npy", np.full((3, 4, 5), value)), tmp_path / "m.png"
+    with warnings.catch_warnings(action="error"):
+        greatest = shown(capsys, movie, "-o", picture)["concentration"]
+    assert greatest.startswith(f"greatest {value if 0 < value < np.inf else 0:.3g} of its own unit")
+    assert picture.stat().st_size > 1000
 
 
 def test_a_file_that_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

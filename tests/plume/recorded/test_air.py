@@ -5,6 +5,7 @@ the seed and goes round, and every answer has the same bits whatever is asked be
 import math
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ import numpy as np
 import pytest
 
 from plume.recorded.air import recorded
-from plume.scenario import Scenario, draw
+from plume.scenario import Scenario, WorldError, draw
+from plume.worlds.world import World
 from tests.plume.recorded import writers
 
 SCENARIO = Scenario(source=(12.0, 17.0), q=1.0, u=2.0, phi=math.pi / 2, d=1.0, tau=1.0, start=(0.0, 0.0))
@@ -239,6 +241,21 @@ def test_a_broken_frame_is_one_line_when_it_is_played(tmp_path: Path) -> None:
     air = recorded(SCENARIO, 1, file=str(run), fps="1")
     with pytest.raises(ValueError, match=r"iteration_1: the zlib stream is cut off"):
         air(np.tile([12.0, 16.0, 0.0], (3, 1)), np.arange(3.0))
+
+
+@pytest.mark.parametrize("value", [1.7e308, 5e-324, -0.0, np.inf, np.nan])
+def test_numbers_that_no_gas_has_give_no_warning(tmp_path: Path, value: float) -> None:
+    path = writers.npy(tmp_path / "m.npy", np.full((3, 4, 5), value))
+    name = f"recorded:file={path},fps=1,source_x=2,source_y=2,wind=180,gain=50"
+    world = World(SCENARIO, 1, name=name)
+    with warnings.catch_warnings(action="error"):
+        if value == 1.7e308:
+            with pytest.raises(
+                WorldError, match=r" said gas inf and wind .+; wanted gas from 0 to 1e\+12 g/m³"
+            ):
+                world.measure(SCENARIO.source, 0)
+        else:
+            assert abs(world.measure(SCENARIO.source, 0)[0]) < 2  # noise
 
 
 def test_a_file_that_has_changed_is_read_anew(movie: Path) -> None:
