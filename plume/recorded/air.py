@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +56,7 @@ def recorded(
             raise ValueError(
                 f"{name} is {value:g}; wanted a number {'from' if name == 'skip' else 'above'} 0"
             )
-    footage = _opened(Path(file), gas, *_stamp(Path(file)))
+    footage = _found(file, gas)
     facts = footage.facts
     axes = [f"source_{axis}" for axis in "xyz"[: len(facts.cells)]]
     if source_z and "source_z" not in axes:
@@ -89,7 +90,7 @@ def recorded(
     else:
         towards = _towards(footage, source, skipped, file)
     return PlacedFootage(
-        footage,
+        (file, gas),
         scenario,
         seed,
         source,
@@ -106,7 +107,7 @@ class PlacedFootage:
 
     def __init__(
         self,
-        footage: Footage,
+        named: tuple[str, str],
         scenario: Scenario,
         seed: int,
         source: Array,
@@ -117,10 +118,13 @@ class PlacedFootage:
         scale: float,
         factor: float,
     ) -> None:
-        """Take where the source is in the file (3,), and where the wind blows to there, a unit vector."""
-        self._footage, self._source = footage, source
+        """Take the file and its gas; where the source is in the file (3,), and where the wind blows to there.
+
+        That is a unit vector.
+        """
+        self._named, self._footage, self._source = named, _found(*named), source
         self._fps, self._skipped, self._scale, self._factor = fps, skipped, scale, factor
-        self._frames = footage.facts.frames - skipped
+        self._frames = self._footage.facts.frames - skipped
         self._start = float(keyed(seed, "recorded").random()) * self._frames
         self._at = np.array([*scenario.source, scenario.height])
         self._wind = np.array(scenario.wind)
@@ -129,6 +133,15 @@ class PlacedFootage:
         x, y = -float(cosine), -float(sine)
         self._cosine = towards[0] * x + towards[1] * y
         self._sine = towards[0] * y - towards[1] * x
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy is made of: it opens the file, or shares it."""
+        return {name: value for name, value in self.__dict__.items() if name != "_footage"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Become a copy. Raises ValueError if the file is gone, or broken."""
+        self.__dict__ |= state
+        self._footage = _found(*self._named)
 
     def __call__(self, places: Array, times_s: Array) -> tuple[Array, Array]:
         """Return the gas (M,) in g/m³ and the wind (M, 2) in m/s, which points to where it comes from.
@@ -182,6 +195,11 @@ def _number(name: str, text: str) -> float:
     if not abs(value) < 1e9:
         raise ValueError(f"{name} is {text!r}; wanted a number")
     return value
+
+
+def _found(file: str, gas: str) -> Footage:
+    """Return the footage of a file. Raises ValueError."""
+    return _opened(Path(file), gas, *_stamp(Path(file)))
 
 
 def _stamp(path: Path) -> tuple[int, int]:

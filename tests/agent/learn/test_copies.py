@@ -3,6 +3,7 @@
 import pickle
 from collections.abc import Callable
 from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from agent.learn.env import SourceSearch, SourceSearchVector
 from agent.learn.parallel import SourceSearchParallel
+from tests.plume.recorded.writers import npy
 
 
 def alone(**settings: Any) -> Any:
@@ -68,6 +70,15 @@ def test_a_copy_in_mid_mission_flies_on_as_the_mission_would_have(
     assert moved(copy, range(3, 9)) == wanted
     assert moved(env, range(3, 9)) == wanted, "what a copy does leaves the mission as it was"
     assert repr(copy.reset()) == repr(never_copied.reset()), "and the next missions are the same"
+
+
+@pytest.mark.parametrize("copied", [deepcopy, through_a_file])
+def test_a_copy_in_a_recorded_plume_flies_on_as_well(copied: Callable[[Any], Any], tmp_path: Path) -> None:
+    movie = npy(tmp_path / "m.npy", np.random.default_rng(1).random((5, 40, 40)))
+    env = alone(world=f"recorded:file={movie},fps=2,source_x=20,source_y=20,wind=180")
+    env.reset(seed=4)
+    moved(env, range(3))
+    assert moved(copied(env), range(3, 9)) == moved(env, range(3, 9))
 
 
 def test_a_copy_of_an_environment_that_has_drawn_a_picture_draws_the_same_one() -> None:
