@@ -79,6 +79,34 @@ def scan(data: bytes) -> Records:
     )
 
 
+def once(data: bytes, records: Records) -> tuple[Records, int]:
+    """Return the records without those that the file holds again, and how many these were.
+
+    They are the same to the last bit, times and sequence numbers included: a log that was joined with itself,
+    or with a part of it. Where times only go on there are none.
+    """
+    stamps = records.logged_us
+    if not (np.diff(stamps[stamps != NO_STAMP]) < 0).any():
+        return records, 0
+    seen: set[bytes] = set()
+    first = np.ones(len(stamps), np.bool_)
+    spans = zip(stamps.tolist(), records.starts.tolist(), records.ends.tolist(), strict=True)
+    for index, (stamp, start, end) in enumerate(spans):
+        if stamp != NO_STAMP:
+            whole = data[start - STAMP : end]
+            first[index] = whole not in seen
+            seen.add(whole)
+    kept = records._replace(
+        logged_us=stamps[first],
+        starts=records.starts[first],
+        ends=records.ends[first],
+        message_ids=records.message_ids[first],
+        systems=records.systems[first],
+        components=records.components[first],
+    )
+    return kept, int(np.count_nonzero(~first))
+
+
 class LogClock(NamedTuple):
     """The log's times made monotonic, and what was corrected."""
 

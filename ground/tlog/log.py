@@ -10,7 +10,7 @@ import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from ground.tlog import onboard
-from ground.tlog.frames import Integers, log_clock, scan
+from ground.tlog.frames import Integers, log_clock, once, scan
 from link.bus.frames import MAVLINK_1, MAVLINK_2
 from link.bus.mavlink import Message
 from link.cli import BadInput
@@ -49,7 +49,9 @@ class FlightLog:
         self.data = data
         self.is_onboard = is_onboard
         self.notes: list[str] = []  # what was read, what was left out and why, in lines for people
-        self.records = scan(data)
+        self.records, again = (scan(data), 0) if is_onboard else once(data, scan(data))
+        if again:
+            self.notes.append(f"skipped: {counted(again, 'frame')} that the log holds again, to the last bit")
         self.clock = log_clock(self.records.logged_us)
         self.times_us = self.clock.times_us.copy()  # µs since 1970; `vehicle_clock` may correct them
         self.is_timed = bool(len(self) and np.ptp(self.records.logged_us) > 0)

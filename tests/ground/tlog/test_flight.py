@@ -408,6 +408,18 @@ def test_a_clock_that_wraps_after_49_days_is_no_restart(tmp_path: Path) -> None:
     assert [reading.time_boot_ms for reading in readings(flight)] == [1000 * n for n in range(11)]
 
 
+def test_a_log_that_is_joined_with_itself_is_one_flight(tmp_path: Path) -> None:
+    log = Recorder()
+    fly(log, 0.0, 12.0)
+    path = log.write(tmp_path)
+    wanted = read(path)
+    path.write_bytes(log.data + b"".join(log.records[10:]))
+    flight = read(path)
+    assert flight.entries == wanted.entries
+    again = len(log.records) - 10
+    assert noted(flight, "skipped") == f"skipped: {again} frames that the log holds again, to the last bit"
+
+
 def test_jumps_of_the_logs_clock_are_noted_and_change_no_reading(tmp_path: Path) -> None:
     plain, jumping = Recorder(), Recorder()
     for log, later_s, latest_s in ((plain, 0, 0), (jumping, 7200, -3600)):
