@@ -188,7 +188,7 @@ def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
     with pytest.raises(ValueError, match=r"^world 'leaving' is not allowed: SystemExit: 3$"):
         named("leaving")
     elsewhere = msgspec.structs.replace(draw(1), source=(3.0, 4.0))
-    with pytest.raises(WorldError, match=r"^world choosy failed: SystemExit: 3 \(badworlds\.py, line 31\)$"):
+    with pytest.raises(WorldError, match=r"^world choosy failed: SystemExit: 3 \(badworlds\.py, line \d+\)$"):
         World(elsewhere, 1, name="choosy")
     assert worlds()["gone"].startswith("world gone of badworlds:gone does not load")
 
