@@ -3,7 +3,6 @@
 Each reading is assimilated by reweighting, and where needed resampling and moving.
 """
 
-import math
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -29,6 +28,8 @@ from plume.scenario import LIFETIME_S
 from plume.sensors.instruments import Instrument
 from plume.sensors.names import GAUSSIAN, Sensor, lags, sensor_row, text
 from plume.sensors.sensor import Gaussian
+
+GREATEST = float(np.finfo(np.float32).max)  # number of a reading: a square of greater ones may be infinite
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,9 @@ class Config:
                 f"sensor {self.sensor!r} is not allowed; wanted a sensor, such as "
                 "plume.sensors.names.parse('hits:3,0.1')"
             )
+        for name, place in (("area", self.area), ("expected", self.expected or self.area)):
+            if not isinstance(place, Area):
+                raise TypeError(f"{name} {short(place)} is not allowed; wanted a plumeward.Area")
         whole("particles", self.particles, 1, PARTICLES[1])
         whole("seed", self.seed, 0, MAX_SEED)
         for name in ("rate", "diffusivity", "lifetime"):
@@ -294,7 +298,8 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
     """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move.
 
     `estimator.kernels.update` does it. A function of its arguments alone: the same readings in the same order
-    give the same particles. `posterior` is not changed. Raises ValueError if a number is not finite.
+    give the same particles. `posterior` is not changed. Raises ValueError if a number is not finite as a
+    float32, as which readings are told.
 
     Examples:
         >>> samples, wind = [((8.0, 9.0), 1.3), ((12.0, 10.0), 2.1), ((12.0, 12.0), 0.4)], (1.5, -0.5)
@@ -309,8 +314,9 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
         1 1.69 False
         2 1.16 False
     """
-    if not all(map(math.isfinite, (*reading.position, reading.altitude_m, *reading.wind, reading.gas))):
-        raise ValueError(f"{reading} is not allowed; wanted finite numbers")
+    numbers = (*reading.position, reading.altitude_m, *reading.wind, reading.gas)
+    if not all(abs(each) <= GREATEST for each in numbers):  # false of NaN, too
+        raise ValueError(f"{reading} is not allowed; wanted finite numbers of float32")
     vehicles = posterior.vehicles
     if vehicles is not None or reading.vehicle != 1:
         vehicles = np.append(_whose(posterior), reading.vehicle)

@@ -466,7 +466,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 seed = self.np_random.integers(TRAINING_SEEDS, size=self.num_envs).tolist()
             several = (
                 seed
-                if isinstance(seed, Sequence | np.ndarray)
+                if isinstance(seed, Sequence) or (isinstance(seed, np.ndarray) and seed.ndim)
                 else [checked_seed(seed) + i for i in range(self.num_envs)]
             )
             seeds = [checked_seed(each) for each in several]

@@ -156,11 +156,18 @@ def test_what_no_estimator_can_be_told_is_refused_in_a_line(knowledge: dict[str,
         Config(**knowledge)
 
 
+@pytest.mark.parametrize("name", ["area", "expected"])
+def test_a_place_that_is_no_area_is_refused_in_a_line(name: str) -> None:
+    with pytest.raises(TypeError, match=rf"^{name} \(0, 30\) is not allowed; wanted a plumeward\.Area$"):
+        Config(**{name: (0, 30)})  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     "changes",
     [
         {"gas": math.nan},
         {"gas": math.inf},
+        {"gas": 1e160},  # the belief was NaN
         {"position": (math.nan, 3.0)},
         {"altitude_m": math.inf},
         {"wind": (1.0, -math.inf)},
@@ -170,6 +177,6 @@ def test_a_reading_that_is_not_finite_is_refused_and_changes_nothing(changes: di
     config, reading = Config(50), Reading(0, (8.0, 9.0), 5.0, (1.5, -0.5), 1.3)
     before = assimilate(prior(config), reading, config)
     kept = [array.copy() for array in (*before.sample, before.readings, before.ranks)]
-    with pytest.raises(ValueError, match=r"^Reading\(.+\) is not allowed; wanted finite numbers$"):
+    with pytest.raises(ValueError, match=r"^Reading\(.+\) is not allowed; wanted finite numbers of float32$"):
         assimilate(before, reading._replace(time_boot_ms=1, **changes), config)
     assert all(map(np.array_equal, (*before.sample, before.readings, before.ranks), kept))

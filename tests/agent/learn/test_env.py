@@ -407,6 +407,8 @@ def test_a_reset_of_many_begins_a_seed_and_those_after_it_or_those_that_are_name
     for seeds in ([1], [1, 2], [1, 2, 3, 4]):
         with pytest.raises(ValueError, match=f"{len(seeds)} seeds for 3 missions"):
             several.reset(seed=seeds)
+    with pytest.raises(ValueError, match=r"^seed array\(5\) is not allowed; wanted a whole number from 0"):
+        several.reset(seed=np.array(5))
 
 
 def test_a_reset_has_no_option_but_a_problem_and_says_so() -> None:
