@@ -40,12 +40,14 @@ def compile_kernels(root: Path) -> None:
 
 def copy_kernels(root: Path, copy: Path, folders: tuple[str, ...] = FOLDERS) -> None:
     """Fill the cache of a copy of a checkout. Numba keeps kernels by the path of their sources, and uses
-    those whose source is as old as it was.
+    those whose source is as old as it was. A checkout that was moved has those of its old path, too.
     """
+    place = UserProvidedCacheLocator.get_suitable_cache_subpath
     for kept in [path for folder in folders for path in (root / folder).rglob("__pycache__/kernels-*/*")]:
         sources = copy / kept.parents[2].relative_to(root)
-        place = UserProvidedCacheLocator.get_suitable_cache_subpath(str(sources / "any.py"))
-        shutil.copytree(kept, sources / "__pycache__" / kept.parent.name / place)
+        if kept.name == place(str(kept.parents[2] / "any.py")):
+            to = sources / "__pycache__" / kept.parent.name / place(str(sources / "any.py"))
+            shutil.copytree(kept, to)
 
 
 if __name__ == "__main__":

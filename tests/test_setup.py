@@ -15,8 +15,11 @@ from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
 
 import pytest
+from numba.core.caching import UserProvidedCacheLocator
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from tests.kernels import copy_kernels
 
 ROOT = Path(__file__).parents[1]
 FLIGHT = ["requirements.txt", "-e ."]
@@ -273,3 +276,17 @@ def test_an_old_python_is_refused_before_anything_is_made(checkout: Path) -> Non
         ended.stderr.splitlines()[0] == "Plumeward needs Python 3.11 or newer; name one with: make PYTHON=..."
     )
     assert not (checkout / ".venv").exists()
+
+
+def test_the_kernels_of_a_checkout_that_was_moved_are_copied_once(tmp_path: Path) -> None:
+    """Numba keeps those of both paths, in folders that are named by them."""
+    place = UserProvidedCacheLocator.get_suitable_cache_subpath
+    kept = tmp_path / "here" / "plume" / "__pycache__" / "kernels-1"
+    for where in ("here", "there"):
+        folder = kept / place(str(tmp_path / where / "plume" / "any.py"))
+        folder.mkdir(parents=True)
+        (folder / "of").write_text(where)
+    copy_kernels(tmp_path / "here", tmp_path / "copy")
+    (copied,) = (tmp_path / "copy").rglob("of")
+    assert copied.read_text() == "here"
+    assert copied.parent.name == place(str(tmp_path / "copy" / "plume" / "any.py"))
