@@ -45,6 +45,7 @@ START = (
     "--include-log-monitor=false",
     "--disable-usage-stats",
 )
+UP, LATE = "will now block", "timed out during startup"
 
 
 class Cluster:
@@ -56,9 +57,21 @@ class Cluster:
         self.nodes: list[subprocess.Popen] = []
 
     def add(self, name: str, *flags: str, **environment: str) -> str:
-        """Start a node; returns its output."""
-        said = self.folder / f"{name}.log"
-        with said.open("w") as file:
+        """Start a node; returns its output. It gives up after 30 s, which a busy machine may need: again."""
+        while True:
+            node, said = self._started(name, flags, environment)
+            self.nodes.append(node)
+            self.wait_until(lambda said=said, node=node: UP in said() or node.poll() is not None)
+            if node.poll() is None or LATE not in said():
+                assert node.poll() is None, said()
+                return said()
+
+    def _started(
+        self, name: str, flags: tuple[str, ...], environment: dict[str, str]
+    ) -> tuple[subprocess.Popen, Callable[[], str]]:
+        """Start a node; returns it, and what tells its output."""
+        log = self.folder / f"{name}.log"
+        with log.open("w") as file:
             node = subprocess.Popen(
                 [
                     sys.executable,
@@ -76,10 +89,7 @@ class Cluster:
                 env=os.environ | environment,
                 start_new_session=True,
             )
-        self.nodes.append(node)
-        self.wait_until(lambda: "will now block" in said.read_text() or node.poll() is not None)
-        assert node.poll() is None, said.read_text()
-        return said.read_text()
+        return node, log.read_text
 
     def head(self, **environment: str) -> str:
         """Start the first node; returns the address of the cluster."""

@@ -4,6 +4,7 @@ replayed, and ended in mid-air.
 
 import json
 import math
+import re
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -226,10 +227,9 @@ def test_without_a_simulator_it_ends_when_the_wait_is_over_and_says_what_was_mis
     words = ("--particles", "100", "--no-record", "--wait", "5")
     flight = start("sitl", "fly", "--vehicle", "tcp:127.0.0.1:1", *words, cwd=tmp_path)
     assert flight.ended() == 1
-    assert (
-        "the search has not begun in 5 s (--wait): no HEARTBEAT at tcp:127.0.0.1:1 (Connection refused"
-        in flight.err[-1]
-    )
+    # A busy machine may not have got round to ask there.
+    missing = "no HEARTBEAT at tcp:127.0.0.1:1 \\((Connection refused|not yet connected)"
+    assert re.search(f"the search has not begun in 5 s \\(--wait\\): {missing}", flight.err[-1])
     assert flight.says("Check: vehicle: not ok, no HEARTBEAT")
     assert not [*tmp_path.iterdir()]
 
