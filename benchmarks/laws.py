@@ -22,7 +22,7 @@ from agent.trials.evaluate import FIRST_TEST_SEED
 from agent.trials.figures import nees
 from benchmarks.pages import placed, table
 from estimator.criterion import USUAL_THRESHOLD_M
-from estimator.kernels.densities import gas_density
+from estimator.kernels.densities import gas_densities
 from link import cli
 from link.files import whole
 from plume.compiled import subroutine
@@ -129,19 +129,20 @@ def log_densities(law: int, places: Array, reading: Array, priors: Array, sensor
     derive(places, count, UNKNOWN, priors, derived)
     derived_means(derived, count, reading, priors, means)
     squares_of_puffs(derived, count, reading, priors, sensor, squares)
-    slope, floor, result = sensor[SLOPE] ** 2, sensor[FLOOR] ** 2, np.empty(count)
+    gas, slope, floor, result = reading[5], sensor[SLOPE] ** 2, sensor[FLOOR] ** 2, np.empty(count)
+    if law == CLIPPED:
+        gas_densities(means, means, np.ones(count), squares, count, gas, slope, floor, result)
     for i in range(count):
-        gas, mean, square = reading[5], means[i], squares[i]
+        mean, square = means[i], squares[i]
         if law == GAMMA:
             result[i] = gamma_density(gas, mean, slope * mean * mean + floor, square)
-        else:
+            continue
+        if law != CLIPPED:
             steady = slope / max(slope + square, 1e-300)
-            here = (
-                gas_density(gas, mean, mean, 1.0, square, slope, floor)
-                if law == CLIPPED
-                else density(gas, mean, slope * steady * mean * mean + floor, square * (1 + slope + steady))
+            result[i] = density(
+                gas, mean, slope * steady * mean * mean + floor, square * (1 + slope + steady)
             )
-            result[i] = math.log(max(here, 1e-300))
+        result[i] = math.log(max(result[i], 1e-300))
     return result
 
 

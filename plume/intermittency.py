@@ -121,7 +121,8 @@ CORRECTIONS = np.load(CORRECTIONS_FILE)
 
 
 @partial(subroutine, forceinline=True)
-def _correction(square: float, ratio: float) -> float:
+def correction(square: float, ratio: float) -> float:
+    """Return the tabled factor of a density: of c*² and ρ."""
     x = (_binary_logarithm(square) - LOW_SQUARE) * SQUARE_FRACTION
     y = (_binary_logarithm(ratio) - LOW_RATIO) * RATIO_FRACTION
     x, y = min(max(x, 0.0), float(SQUARE_CELLS)), min(max(y, 0.0), float(RATIO_CELLS))
@@ -136,8 +137,13 @@ def _correction(square: float, ratio: float) -> float:
 
 
 @partial(subroutine, forceinline=True)
-def _parts(gas: float, mean: float, variance: float, square: float) -> tuple[float, float]:
-    """Return (a, b) of a density b e^a. square: of the coefficient of variation."""
+def parts_of_density(
+    gas: float, mean: float, variance: float, square: float
+) -> tuple[float, float, float, float]:
+    """Return (e, f, c*², ρ) of the density e f `correction(c*², ρ)` of a reading.
+
+    Its gas has this mean and squared coefficient of variation; its noise is N(0, variance).
+    """
     square = min(max(square, SMALLEST_CV * SMALLEST_CV), GREATEST * GREATEST)
     mean = max(mean, SMALLEST_MEAN * math.sqrt(variance))
     inverse = 1 / (square * mean)
@@ -152,21 +158,14 @@ def _parts(gas: float, mean: float, variance: float, square: float) -> tuple[flo
     to_mean, to_gas = 1 - s, gas - at_mode
     exponent = -0.5 * (ratio * squared * to_mean * to_mean + to_gas * to_gas * by_variance)
     near_0 = math.sqrt((ratio + exp(-squared)) * by_both)
-    return exponent, ONE_BY_ROOT_2PI * near_0 * _correction(squared, ratio)
+    return exp(exponent), ONE_BY_ROOT_2PI * near_0, squared, ratio
 
 
-@partial(subroutine, forceinline=True)
-def log_density(gas: float, mean: float, variance: float, square: float) -> float:
-    """Log-density of a reading: gas of this mean and squared cv plus noise N(0, variance)."""
-    exponent, factor = _parts(gas, mean, variance, square)
-    return exponent + log(factor)
-
-
-@partial(subroutine, forceinline=True)
+@subroutine
 def density(gas: float, mean: float, variance: float, square: float) -> float:
-    """Density of a reading, as `log_density`."""
-    exponent, factor = _parts(gas, mean, variance, square)
-    return exp(exponent) * factor
+    """Density of a reading, as of `parts_of_density`."""
+    at_mode, factor, squared, ratio = parts_of_density(gas, mean, variance, square)
+    return at_mode * (factor * correction(squared, ratio))
 
 
 @kernel("float64[:, ::1]()")

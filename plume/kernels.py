@@ -102,32 +102,42 @@ def location_means(particles: Array, count: int, reading: Array, priors: Array, 
 @subroutine
 def derive(particles: Array, count: int, unknowns: Indices, priors: Array, derived: Array) -> None:
     """Fill `derived` (DERIVED, count) from particles (D, count) and the known parameters."""
-    values = np.empty(len(priors))
-    for parameter in range(len(priors)):  # assigning the whole row takes five times as long to compile
-        values[parameter] = priors[parameter, 1]
-    speed_measured, direction_measured = priors[U, 0] == MEASURED, priors[PHI, 0] == MEASURED
+    values = np.empty((len(priors), count))
+    for parameter in range(len(priors)):
+        for i in range(count):
+            values[parameter, i] = priors[parameter, 1]
+    for row in range(len(unknowns)):
+        for i in range(count):
+            values[unknowns[row], i] = particles[row, i]
+    # A loop for each row: LLVM vectorises none that reads and fills so many.
     for i in range(count):
-        for row in range(len(unknowns)):
-            values[unknowns[row]] = particles[row, i]
-        angle = values[WIND_DIRECTION] * RADIANS if direction_measured else values[PHI]
-        derived[0, i] = values[X]
-        derived[1, i] = values[Y]
-        derived[2, i] = values[Z]
-        derived[3, i] = values[GAIN] * values[Q] / (4 * math.pi * values[D])
-        derived[4, i] = 0.5 / values[D]
-        derived[5, i] = 1 / (values[D] * values[TAU])
-        derived[6, i] = values[WIND_SPEED] if speed_measured else values[U]
-        derived[7, i], derived[8, i] = cosine_and_sine(angle)
-        derived[NOISES, i] = values[NOISE] * values[NOISE]
-        derived[CVS, i] = values[CV] * values[CV]
-        share = values[PUFF_SHARE]
-        derived[PUFFS, i] = (
-            ONE_BY_PI_ROOT_2
-            * values[D]
-            * math.sqrt((1 - 0.5 * share) / (share * share * share))
-            / values[PUFF_RATE]
-        )
-        derived[WIDTHS, i] = 1 / (2 - share)
+        derived[0, i] = values[X, i]
+    for i in range(count):
+        derived[1, i] = values[Y, i]
+    for i in range(count):
+        derived[2, i] = values[Z, i]
+    for i in range(count):
+        derived[3, i] = values[GAIN, i] * values[Q, i] / (4 * math.pi * values[D, i])
+    for i in range(count):
+        derived[4, i] = 0.5 / values[D, i]
+    for i in range(count):
+        derived[5, i] = 1 / (values[D, i] * values[TAU, i])
+    speeds = values[WIND_SPEED] if priors[U, 0] == MEASURED else values[U]
+    for i in range(count):
+        derived[6, i] = speeds[i]
+    angles, unit = (values[WIND_DIRECTION], RADIANS) if priors[PHI, 0] == MEASURED else (values[PHI], 1.0)
+    for i in range(count):
+        derived[7, i], derived[8, i] = cosine_and_sine(angles[i] * unit)
+    for i in range(count):
+        derived[NOISES, i] = values[NOISE, i] * values[NOISE, i]
+    for i in range(count):
+        derived[CVS, i] = values[CV, i] * values[CV, i]
+    for i in range(count):
+        share = values[PUFF_SHARE, i]
+        strength = math.sqrt((1 - 0.5 * share) / (share * share * share))
+        derived[PUFFS, i] = ONE_BY_PI_ROOT_2 * values[D, i] * strength / values[PUFF_RATE, i]
+    for i in range(count):
+        derived[WIDTHS, i] = 1 / (2 - values[PUFF_SHARE, i])
 
 
 @subroutine

@@ -140,7 +140,7 @@ def log_gamma(x: float) -> float:
 def cosine_and_sine(angle: float) -> tuple[float, float]:
     """(cos, sin) of an angle in radians, to 4e-16 (1 + |angle|)."""
     turns = angle * (0.5 / np.pi)
-    turns -= math.floor(turns)
+    turns -= np.floor(turns)
     return direction(turns if turns < 1.0 else 0.0)  # a small negative number of turns rounds to a whole one
 
 
@@ -169,7 +169,7 @@ def angle_of(x: float, y: float) -> float:
 @subroutine
 def direction(turns: float) -> tuple[float, float]:
     """(cos, sin) of 2π · turns, turns in [0, 1): the quarter, and a series within ±π/4 for the rest."""
-    quarter = float(int(4 * turns))
+    quarter = np.floor(4 * turns)
     x = (4 * turns - quarter - 0.5) * (np.pi / 2)
     z = x * x
     c, s = polynomial(z, COS), polynomial(z, SIN) * x

@@ -12,7 +12,7 @@ from plume import elementary
 from plume.compiled import kernel, subroutine
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import Array, Indices
-from plume.intermittency import ONE_BY_ROOT_2PI, density, exceeding
+from plume.intermittency import ONE_BY_ROOT_2PI, correction, exceeding, parts_of_density
 from plume.kernels import (
     DERIVED,
     NOISES,
@@ -97,21 +97,37 @@ def parts_of_gas(
     return blank, slope * mean * mean + floor, gas, of_gas * (1 + slope + steady), with_gas
 
 
-@partial(subroutine, forceinline=True)
-def gas_density(
+@subroutine
+def gas_densities(
+    means: Array,
+    fresh: Array,
+    noises: Array,
+    squares: Array,
+    count: int,
     gas: float,
-    mean: float,
-    fresh: float,
-    noise: float,
-    square: float,
     slope: float,
     floor: float,
-) -> float:
-    """Density of a reading in intermittent gas, of which `parts_of_gas` says what it is made of."""
-    blank, without, there, of_gas, with_gas = parts_of_gas(mean, fresh, noise, square, slope, floor)
-    residual, precision = gas - (mean - fresh), 1 / without
-    nothing = ONE_BY_ROOT_2PI * math.sqrt(precision) * exp(-0.5 * residual * residual * precision)
-    return blank * nothing + (1 - blank) * density(residual, there, with_gas, of_gas)
+    result: Array,
+) -> None:
+    """Fill `result` with the density of a reading in intermittent gas, of which `parts_of_gas` says what it is
+    made of.
+
+    The table has a loop of its own: LLVM computes number by number half of a loop that does all.
+    """
+    scratch = np.empty((5, count))
+    nothings, shares, factors, modes, ratios = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    for i in range(count):
+        blank, without, there, of_gas, with_gas = parts_of_gas(
+            means[i], fresh[i], noises[i], squares[i], slope, floor
+        )
+        residual, precision = gas - (means[i] - fresh[i]), 1 / without
+        nothing = ONE_BY_ROOT_2PI * math.sqrt(precision) * exp(-0.5 * residual * residual * precision)
+        nothings[i], shares[i] = blank * nothing, 1 - blank
+        result[i], factors[i], modes[i], ratios[i] = parts_of_density(residual, there, with_gas, of_gas)
+    for i in range(count):
+        factors[i] *= correction(modes[i], ratios[i])
+    for i in range(count):
+        result[i] = nothings[i] + shares[i] * (result[i] * factors[i])
 
 
 @subroutine
@@ -139,9 +155,9 @@ def log_densities(
     kept, spike = 1 - spikes, spikes * spike_density(gas, model.sensor)
     if is_intermittent(model.priors) and not is_saturated(gas, model.sensor):
         slope, floor = model.sensor[1] * model.sensor[1], model.sensor[2] * model.sensor[2]
+        gas_densities(means, fresh, derived[NOISES], squares, count, gas, slope, floor, result)
         for i in range(count):
-            here = gas_density(gas, means[i], fresh[i], derived[NOISES, i], squares[i], slope, floor)
-            result[i] = log(kept * here + spike)
+            result[i] = log(kept * result[i] + spike)
     else:
         _without_spikes(means, fresh, squares, derived, count, gas, model, result)
         for i in range(count):
@@ -187,9 +203,9 @@ def _without_spikes(
                 beyond = normal_cdf((means[i] - sensor[SATURATION]) / math.sqrt(variance))
             result[i] = log(max(beyond, 1e-300))
     elif not plain and is_intermittent(model.priors):
+        gas_densities(means, fresh, derived[NOISES], squares, count, gas, slope, floor, result)
         for i in range(count):
-            here = gas_density(gas, means[i], fresh[i], derived[NOISES, i], squares[i], slope, floor)
-            result[i] = log(max(here, 1e-300))
+            result[i] = log(max(result[i], 1e-300))
     elif kind == THRESHOLD_KIND and gas == 0.0:
         for i in range(count):
             if plain:
@@ -426,27 +442,36 @@ def place_density(particles: Array, i: int, model: Model) -> float:
 
 
 @subroutine
-def log_prior(particles: Array, i: int, model: Model) -> float:
-    """Log prior density of particle i up to a constant; of a log-normal parameter, that of its logarithm."""
-    total = 0.0
+def fill_log_priors(particles: Array, count: int, model: Model, result: Array) -> None:
+    """Fill `result` (count,) with the log prior density of each particle up to a constant.
+
+    Of a log-normal parameter it is that of its logarithm.
+    """
+    for i in range(count):
+        result[i] = 0.0
     for row in range(len(model.unknowns)):
-        index, value = model.unknowns[row], particles[row, i]
+        index = model.unknowns[row]
         kind, a, b = model.priors[index, 0], model.priors[index, 1], model.priors[index, 2]
         if kind == NORMAL:
-            total -= 0.5 * ((value - a) / b) ** 2
+            for i in range(count):
+                result[i] -= 0.5 * ((particles[row, i] - a) / b) ** 2
         elif kind == AROUND:
-            total += 0.0 if a <= value <= b else LOG_BEYOND
+            for i in range(count):
+                result[i] += 0.0 if a <= particles[row, i] <= b else LOG_BEYOND
         elif kind == GAMMA:
-            total += (a - 1) * log(value) - value / b
+            for i in range(count):
+                result[i] += (a - 1) * log(particles[row, i]) - particles[row, i] / b
         elif kind == LOGNORMAL:
-            total -= 0.5 * ((log(value) - a) / b) ** 2
-    return total + log(place_density(particles, i, model)) if len(model.densities) > 1 else total
+            for i in range(count):
+                result[i] -= 0.5 * ((log(particles[row, i]) - a) / b) ** 2
+    if len(model.densities) > 1:
+        for i in range(count):
+            result[i] += log(place_density(particles, i, model))
 
 
 @kernel(numba.float64[::1](numba.float64[:, ::1], MODEL))
 def log_priors(particles: Array, model: Model) -> Array:
     """Log prior density of each particle up to a constant: (N,)."""
     result = np.empty(particles.shape[1])
-    for i in range(len(result)):
-        result[i] = log_prior(particles, i, model)
+    fill_log_priors(particles, len(result), model, result)
     return result

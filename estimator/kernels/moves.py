@@ -12,10 +12,10 @@ from estimator.kernels.densities import (
     Model,
     add_place_densities,
     derived_of,
+    fill_log_priors,
     greatest_log_density,
     is_a_normal_density,
     is_fused,
-    log_prior,
     place_density,
     reading_densities,
 )
@@ -308,7 +308,7 @@ def _accept(
                 few[row, j] = proposals[row, first + j]
         for j in range(size):
             owners[j], thresholds[j] = first + j, needed[first + j]
-            targets[j] = log_prior(few, j, model)
+        fill_log_priors(few, size, model, targets)
         if len(derived):
             derive(few, size, model.unknowns, model.priors, derived)
         size = _judge(block, size, readings, bounds, model, fused)
