@@ -10,9 +10,11 @@ as in training. The reset before a flight is not timed; resets during a flight a
 import statistics
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
@@ -22,6 +24,10 @@ from rich.table import Table
 
 import agent.learn.missions
 from agent.learn.env import SourceSearch, SourceSearchVector
+from agent.learn.missions import Missions
+from agent.observation import SCHEMAS
+from estimator.assumptions import ASSUMPTIONS
+from estimator.batch import Batch
 
 PARTICLES = (100, 500, 1000, 4000)
 BATCHES = (1, 4, 16, 64, 256, 1024)
@@ -33,6 +39,8 @@ ENOUGH_S = 5.0
 """No further repeat once the flights have taken more than this on average."""
 USUAL = 500
 """Particles in the tables that have one number of particles."""
+FLOWN = 1000
+"""Particles of a usual mission."""
 PEERS_BATCH, THREADS_BATCH = 64, 256
 WANTED = 10_000
 """Target: steps per second per core at N = 500."""
@@ -148,30 +156,37 @@ class Stopwatch:
         self._since = now
 
 
-def parts(count: int) -> dict[str, float]:
+def by_assumption() -> dict[str, float]:
+    """Steps per second on two threads, by what the estimator takes to be known."""
+    envs = {
+        assume: SourceSearchVector(PEERS_BATCH, particles=FLOWN, threads=2, assume=assume)
+        for assume in ASSUMPTIONS
+    }
+    return speeds({assume: partial(side_by_side, env, PEERS_BATCH) for assume, env in envs.items()})
+
+
+def parts(count: int, assume: str) -> dict[str, float]:
     """Seconds per env step and mission, by part: whole flights of `count` missions on one thread."""
-    env, watch = SourceSearchVector(count, particles=USUAL), Stopwatch()
-    env.reset(seed=0)
-    missions = env.missions
-    assert missions is not None
-    for owner, name, part in (
-        (env, "step", "the rest: moves, infos, copies"),
-        (missions, "begin", "missions that follow: scenario and prior"),
-        (agent.learn.missions, "readings_of", "readings"),
-        (missions._batch, "assimilate", "filter"),
-        (missions._batch, "may_claim", "whether a stop may be claimed"),
-    ):
-        setattr(owner, name, watch.timed(part, getattr(owner, name)))
-    missions._schema = replace(
-        missions._schema, see_missions=watch.timed("observation", missions._schema.see_missions)
-    )
+    env, watch = SourceSearchVector(count, particles=USUAL, assume=assume), Stopwatch()
+    polar = SCHEMAS["polar"]
+    seen = replace(polar, see_missions=watch.timed("observation", polar.see_missions))
     said = []
-    for _ in range(REPEATS):
-        env.reset(seed=0)
-        watch.seconds.clear()
-        for _ in range(STEPS):
-            env.step(np.zeros(count, np.int64))
-        said.append({part: seconds / (STEPS * count) for part, seconds in watch.seconds.items()})
+    with ExitStack() as patches:
+        patches.enter_context(patch.dict(SCHEMAS, polar=seen))
+        for owner, name, part in (
+            (env, "step", "the rest: moves, infos, copies"),
+            (Missions, "begin", "missions that follow: scenario and prior"),
+            (agent.learn.missions, "readings_of", "readings"),
+            (Batch, "assimilate", "filter"),
+            (Batch, "may_claim", "whether a stop may be claimed"),
+        ):
+            patches.enter_context(patch.object(owner, name, watch.timed(part, getattr(owner, name))))
+        for _ in range(REPEATS):
+            env.reset(seed=0)
+            watch.seconds.clear()
+            for _ in range(STEPS):
+                env.step(np.zeros(count, np.int64))
+            said.append({part: seconds / (STEPS * count) for part, seconds in watch.seconds.items()})
     return {part: statistics.median(each[part] for each in said) for part in said[0]}
 
 
@@ -180,14 +195,16 @@ def main() -> None:
     side_by_side(SourceSearchVector(4, particles=100, threads=2))  # compiles the kernels
     console = Console(width=120)
     with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("flying", total=len(PARTICLES) + 2)
+        task = progress.add_task("flying", total=len(PARTICLES) + 3)
         columns = {}
         for particles in PARTICLES:
             columns[particles] = by_size(particles)
             progress.advance(task)
         peers = beside_peers()
         progress.advance(task)
-        split = parts(PEERS_BATCH)
+        known = by_assumption()
+        progress.advance(task)
+        split = {assume: parts(PEERS_BATCH, assume) for assume in ASSUMPTIONS}
         progress.advance(task)
 
     table = Table(
@@ -210,12 +227,19 @@ def main() -> None:
     console.print(table)
 
     table = Table(
-        "part", "µs", "share", title=f"one step of a mission, {PEERS_BATCH} side by side, N = {USUAL}"
+        "--assume", "steps/s", "of paper's", title=f"{PEERS_BATCH} missions, N = {FLOWN:,}, two threads"
     )
-    whole = sum(split.values())
-    for part, seconds in sorted(split.items(), key=lambda item: -item[1]):
-        table.add_row(part, f"{1e6 * seconds:.1f}", f"{seconds / whole:.0%}")
+    for assume, speed in known.items():
+        table.add_row(assume, f"{speed:,.0f}", f"{speed / known['paper']:.2f}")
     console.print(table)
+
+    for assume, seconds_of in split.items():
+        title = f"one step of a mission under {assume}, {PEERS_BATCH} side by side, N = {USUAL}"
+        table = Table("part", "µs", "share", title=title)
+        whole = sum(seconds_of.values())
+        for part, seconds in sorted(seconds_of.items(), key=lambda item: -item[1]):
+            table.add_row(part, f"{1e6 * seconds:.1f}", f"{seconds / whole:.0%}")
+        console.print(table)
 
     row, best = max(columns[USUAL].items(), key=lambda item: item[1])
     console.print(

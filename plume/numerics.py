@@ -3,7 +3,6 @@
 Plain IEEE arithmetic: bit-identical on every machine.
 """
 
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any, cast

@@ -109,8 +109,7 @@ def gas_densities(
     floor: float,
     result: Array,
 ) -> None:
-    """Fill `result` with the density of a reading in intermittent gas, of which `parts_of_gas` says what it is
-    made of.
+    """Fill `result` with the density of a reading in intermittent gas, made of what `parts_of_gas` says.
 
     The table has a loop of its own: LLVM computes number by number half of a loop that does all.
     """
@@ -148,24 +147,23 @@ def log_densities(
     it, but for a sensor that lags.  squares: (count,) of the cv of that gas, if it is not steady.
     derived: as of `reading_densities`, for the noise where it is unknown.
     """
-    spikes = model.spikes[0]
-    if spikes == 0:
-        _without_spikes(means, fresh, squares, derived, count, gas, model, result)
-        return
-    kept, spike = 1 - spikes, spikes * spike_density(gas, model.sensor)
-    if is_intermittent(model.priors) and not is_saturated(gas, model.sensor):
-        slope, floor = model.sensor[1] * model.sensor[1], model.sensor[2] * model.sensor[2]
+    sensor, spikes, spike = model.sensor, model.spikes[0], 0.0
+    if spikes > 0:
+        spike = spikes * spike_density(gas, sensor)
+    if is_intermittent(model.priors) and not is_saturated(gas, sensor):
+        slope, floor = sensor[1] * sensor[1], sensor[2] * sensor[2]
         gas_densities(means, fresh, derived[NOISES], squares, count, gas, slope, floor, result)
         for i in range(count):
-            result[i] = log(kept * result[i] + spike)
-    else:
-        _without_spikes(means, fresh, squares, derived, count, gas, model, result)
+            result[i] = log(max((1 - spikes) * result[i] + spike, 1e-300))
+        return
+    _of_other_readings(means, fresh, squares, derived, count, gas, model, result)
+    if spikes > 0:
         for i in range(count):
-            result[i] = log(kept * exp(result[i]) + spike)
+            result[i] = log((1 - spikes) * exp(result[i]) + spike)
 
 
 @subroutine
-def _without_spikes(
+def _of_other_readings(
     means: Array,
     fresh: Array,
     squares: Array,
@@ -175,7 +173,10 @@ def _without_spikes(
     model: Model,
     result: Array,
 ) -> None:
-    """Fill `result` as `log_densities` does for readings that are no spikes."""
+    """Fill `result` as `log_densities` does, without spikes, but for readings of intermittent gas.
+
+    Those that are saturated are among them.
+    """
     sensor = model.sensor
     kind, slope, floor = sensor[0], sensor[1] * sensor[1], sensor[2] * sensor[2]
     plain = is_plain(model.priors)
@@ -202,10 +203,6 @@ def _without_spikes(
                 variance = noise * (slope * means[i] * means[i] + floor)
                 beyond = normal_cdf((means[i] - sensor[SATURATION]) / math.sqrt(variance))
             result[i] = log(max(beyond, 1e-300))
-    elif not plain and is_intermittent(model.priors):
-        gas_densities(means, fresh, derived[NOISES], squares, count, gas, slope, floor, result)
-        for i in range(count):
-            result[i] = log(max(result[i], 1e-300))
     elif kind == THRESHOLD_KIND and gas == 0.0:
         for i in range(count):
             if plain:
