@@ -275,7 +275,7 @@ def share_outside(posterior: Posterior, config: Config) -> float:
         if name in ("x", "y"):
             axis = "xy".index(name)
             outside |= (row < config.area.low[axis]) | (row > config.area.high[axis])
-    return float(posterior.weights[outside].sum() / posterior.weights.sum())
+    return float(posterior.weights[outside].sum() / posterior.weights.sum()) if outside.any() else 0.0
 
 
 def sure_enough(located: bool, outside: float, stds: Mapping[str, float], config: Config) -> bool:

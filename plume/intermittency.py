@@ -218,7 +218,7 @@ def _row_of(square: float) -> tuple[int, float]:
 
 @subroutine
 def exceeding(gas: float, mean: float, variance: float, square: float) -> float:
-    """P(Z > gas) of a reading, as by `distribution`; small ones keep their digits."""
+    """P(Z > gas) of a reading, as by `distributions`; small ones keep their digits."""
     row, x = _row_of(square)
     inverse, total = math.sqrt(0.5 / variance), 0.0
     low, high = CONCENTRATIONS[row], CONCENTRATIONS[row + 1]
@@ -228,17 +228,24 @@ def exceeding(gas: float, mean: float, variance: float, square: float) -> float:
 
 
 @subroutine
-def distribution(gas: float, mean: float, variance: float, square: float, tails: Array) -> float:
-    """P(Z ≤ gas) of a reading, as in `log_density`; right to about 0.01.
+def distributions(gas: Array, means: Array, variances: Array, squares: Array, result: Array) -> None:
+    """Fill `result` with P(Z ≤ gas) of readings (count,), as of `density`; right to about 0.01.
 
-    tails: (BODY + TAIL,) to compute in.
+    One loop over all concentrations of all readings is the shortest: LLVM vectorises it.
     """
-    row, x = _row_of(square)
-    inverse = math.sqrt(0.5 / variance)
-    low, high = CONCENTRATIONS[row], CONCENTRATIONS[row + 1]
-    for cell in range(BODY + TAIL):
-        tails[cell] = SHARES[cell] * erfc((mean * (low[cell] + x * (high[cell] - low[cell])) - gas) * inverse)
-    total = 0.0
-    for cell in range(BODY + TAIL):
-        total += tails[cell]
-    return 0.5 * total
+    cells = BODY + TAIL
+    tails = np.empty(len(gas) * cells)
+    for i in range(len(gas)):
+        row, x = _row_of(squares[i])
+        inverse = math.sqrt(0.5 / variances[i])
+        low, high = CONCENTRATIONS[row], CONCENTRATIONS[row + 1]
+        for cell in range(cells):
+            concentration = means[i] * (low[cell] + x * (high[cell] - low[cell]))
+            tails[i * cells + cell] = (concentration - gas[i]) * inverse
+    for at in range(len(tails)):
+        tails[at] = erfc(tails[at])
+    for i in range(len(gas)):
+        total = 0.0
+        for cell in range(cells):
+            total += SHARES[cell] * tails[i * cells + cell]
+        result[i] = 0.5 * total

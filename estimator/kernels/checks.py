@@ -10,7 +10,7 @@ from estimator.kernels.densities import Model, is_saturated, normal_cdf, parts_o
 from estimator.kernels.spikes import spike_density, spike_rank
 from plume.compiled import kernel, subroutine
 from plume.elementary import Array
-from plume.intermittency import BODY, TAIL, distribution
+from plume.intermittency import distributions
 from plume.kernels import NOISES, is_intermittent
 from plume.numerics import HALF_LOG_2PI, dot, exp, log, log1p, log_gamma, total_of
 from plume.parameters import DECAY, DWELL, GAUSSIAN_KIND, HITS_KIND, RISE, SATURATION, THRESHOLD_KIND
@@ -40,6 +40,38 @@ def _gaussian_tails(
         p = (((t * 1.061405429 - 1.453152027) * t + 1.421413741) * t - 0.284496736) * t + 0.254829592
         tail = 0.5 * p * t * exp(-half_square)
         result[i] = 1 - tail if residual > 0 else tail
+
+
+@subroutine
+def _intermittent_tails(
+    means: Array,
+    fresh: Array,
+    noises: Array,
+    squares: Array,
+    gas: float,
+    slope: float,
+    floor: float,
+    result: Array,
+) -> None:
+    """Fill `result` with P(Z ≤ gas) for each mean of intermittent gas, made of what `parts_of_gas` says."""
+    rows = np.empty((6, len(means)))
+    residuals, there, of_gas, with_gas, blanks, nothings = (
+        rows[0],
+        rows[1],
+        rows[2],
+        rows[3],
+        rows[4],
+        rows[5],
+    )
+    for i in range(len(means)):
+        blank, without, there[i], of_gas[i], with_gas[i] = parts_of_gas(
+            means[i], fresh[i], noises[i], squares[i], slope, floor
+        )
+        residuals[i] = gas - (means[i] - fresh[i])
+        blanks[i], nothings[i] = blank, normal_cdf(residuals[i] / math.sqrt(without))
+    distributions(residuals, there, with_gas, of_gas, result)
+    for i in range(len(means)):
+        result[i] = blanks[i] * nothings[i] + (1 - blanks[i]) * result[i]
 
 
 @subroutine
@@ -79,35 +111,26 @@ def predictive_rank(
     chance: a uniform draw in (0, 1) that breaks ties of discrete readings.
     """
     sensor = model.sensor
+    slope, floor = sensor[1] * sensor[1], sensor[2] * sensor[2]
     gaussian = sensor[0] == GAUSSIAN_KIND
     intermittent = gaussian and is_intermittent(model.priors)
     stride = max(len(means) // (CHECK_INTERMITTENT if intermittent else CHECK_PARTICLES), 1)
     few, shares = means[::stride].copy(), weights[::stride].copy()
     count = len(few)
-    noises, tails, cells = np.ones(count), np.empty(count), np.empty(BODY + TAIL)
+    noises, tails = np.ones(count), np.empty(count)
     if len(derived):
         for i in range(count):
             noises[i] = derived[NOISES, i * stride]
     if gaussian and not intermittent:
-        _gaussian_tails(few, noises, gas, sensor[1] * sensor[1], sensor[2] * sensor[2], tails)
+        _gaussian_tails(few, noises, gas, slope, floor, tails)
+    elif intermittent:
+        _intermittent_tails(
+            few, fresh[::stride].copy(), noises, squares[::stride].copy(), gas, slope, floor, tails
+        )
     share, total = 0.0, 0.0
     for i in range(count):
         variance = noises[i] * ((sensor[1] * few[i]) ** 2 + sensor[2] * sensor[2])
-        if intermittent:
-            recent = fresh[i * stride]
-            blank, without, there, of_gas, with_gas = parts_of_gas(
-                few[i],
-                recent,
-                noises[i],
-                squares[i * stride],
-                sensor[1] * sensor[1],
-                sensor[2] * sensor[2],
-            )
-            residual = gas - (few[i] - recent)
-            tails[i] = blank * normal_cdf(residual / math.sqrt(without)) + (1 - blank) * distribution(
-                residual, there, with_gas, of_gas, cells
-            )
-        elif sensor[0] == HITS_KIND:
+        if sensor[0] == HITS_KIND:
             expected = sensor[1] * few[i] + sensor[2]
             below = _hits_cdf(gas - 1, expected)
             tails[i] = below + chance * (_hits_cdf(gas, expected) - below)

@@ -62,9 +62,9 @@ def kernel_densities(gas: np.ndarray, mean: np.ndarray, variance: np.ndarray, cv
 def kernel_distributions(
     gas: np.ndarray, mean: np.ndarray, variance: np.ndarray, cv: np.ndarray
 ) -> np.ndarray:
-    result, cells = np.empty((2, len(gas))), np.empty(intermittency.BODY + intermittency.TAIL)
+    result = np.empty((2, len(gas)))
+    intermittency.distributions(gas, mean, variance, cv * cv, result[0])
     for i in range(len(gas)):
-        result[0, i] = intermittency.distribution(gas[i], mean[i], variance[i], cv[i] * cv[i], cells)
         result[1, i] = intermittency.exceeding(gas[i], mean[i], variance[i], cv[i] * cv[i])
     return result
 
