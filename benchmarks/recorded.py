@@ -1,6 +1,6 @@
 """What the stop is worth in recorded plumes: films two, flies in them, and writes the table of docs/trust.md.
 
-    python -m benchmarks.recorded          # minutes; the films are kept in runs/recorded/
+    python -m benchmarks.recorded          # half an hour; the films are kept in runs/recorded/
 
 One plume is that of `benchmarks/solver.py`, the other one that of puffs in a wind that wanders. Missions are
 flown as `plumeward evaluate` flies them, from the test seeds, in worlds of `recorded`: the seed draws at
@@ -52,7 +52,7 @@ RELEASE = Scenario(
     tau=solver.LIFETIME_S,
     start=(0.0, 0.0),
 )
-MISSIONS = 60
+MISSIONS = 1000
 
 
 class Plume(NamedTuple):
@@ -145,7 +145,7 @@ def page(text: str, rows: Sequence[MissionRow]) -> str:
         if (of := [row for row in rows if (row.world, row.criterion) == (name, stop.text)])
     ]
     missions = max((len({row.seed for row in rows if row.world == name}) for name in PLUMES), default=0)
-    made = f"N = {PARTICLES:,}, at most {BUDGET} steps, {missions} missions in each plume.\n"
+    made = f"N = {PARTICLES:,}, at most {BUDGET} steps, {missions:,} missions in each plume.\n"
     return placed(text, "recorded", f"{table(heads, lines)}\n{made}")
 
 
