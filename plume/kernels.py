@@ -109,7 +109,7 @@ def derive(particles: Array, count: int, unknowns: Indices, priors: Array, deriv
     for row in range(len(unknowns)):
         for i in range(count):
             values[unknowns[row], i] = particles[row, i]
-    # A loop for each row: LLVM vectorises none that reads and fills so many.
+    # A loop for each row: LLVM does not vectorise one loop over so many rows.
     for i in range(count):
         derived[0, i] = values[X, i]
     for i in range(count):

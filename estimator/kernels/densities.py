@@ -111,7 +111,7 @@ def gas_densities(
 ) -> None:
     """Fill `result` with the density of a reading in intermittent gas, made of what `parts_of_gas` says.
 
-    The table has a loop of its own: LLVM computes number by number half of a loop that does all.
+    The table has a loop of its own: LLVM vectorises only half of a loop that does all.
     """
     scratch = np.empty((5, count))
     nothings, shares, factors, modes, ratios = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
@@ -173,10 +173,7 @@ def _of_other_readings(
     model: Model,
     result: Array,
 ) -> None:
-    """Fill `result` as `log_densities` does, without spikes, but for readings of intermittent gas.
-
-    Those that are saturated are among them.
-    """
+    """Fill `result` as `log_densities` does without spikes: in steady gas, or of a saturated sensor."""
     sensor = model.sensor
     kind, slope, floor = sensor[0], sensor[1] * sensor[1], sensor[2] * sensor[2]
     plain = is_plain(model.priors)
