@@ -33,6 +33,7 @@ import llvmlite
 import llvmlite.binding
 import numba
 import numpy as np
+import numpy.ma  # numba imports it at a process's first call of a kernel: 10 ms of a service's first answer
 from numba import njit
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import FunctionCache
