@@ -130,6 +130,20 @@ def test_a_kept_kernel_is_loaded_without_what_only_compiling_needs(tmp_path: Pat
     ]
 
 
+def test_the_first_call_of_a_kernel_waits_for_no_import() -> None:
+    call = """
+import sys
+import numpy as np
+from plume.numerics import exp_each
+before = set(sys.modules)
+exp_each(np.ones((2, 3)))
+print(*(set(sys.modules) - before))
+"""
+    done = subprocess.run([sys.executable, "-c", call], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert not done.stdout.split()
+
+
 @pytest.mark.slow
 def test_a_kernel_may_call_one_that_was_kept(tmp_path: Path) -> None:
     write(tmp_path)
