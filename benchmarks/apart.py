@@ -57,8 +57,8 @@ class Sky:
 
     def __init__(self, starts: Sequence[Place]) -> None:
         self.vehicles = [
-            Vehicle(at_own_stand(VehicleConfig(), Berth(start, (), SEPARATION_M), number))
-            for number, start in enumerate(starts, 1)
+            Vehicle(at_own_stand(VehicleConfig(), Berth(start, [*{*starts} - {start}], SEPARATION_M)))
+            for start in starts
         ]
         self.now_s = 0.0
         self.left: set[int] = set()  # vehicles that have left the search, from 0

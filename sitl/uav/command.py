@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     # All of a search have one home, the origin of what they search: that of the first one.
     config = at_own_home(config, max(args.instance + 1 - number, 0))
     if orders.berth:
-        config = at_own_stand(config, orders.berth, number)
+        config = at_own_stand(config, orders.berth)
     vehicle = Vehicle(config)
     return fly(args, orders, lambda equipment, _: simulated_uav(vehicle, orders, equipment, number, fleet))
 

@@ -136,13 +136,18 @@ def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:
     return replace(config, home_lat_deg=lat_deg, home_lon_deg=lon_deg)
 
 
-def at_own_stand(config: VehicleConfig, berth: Berth, number: int) -> VehicleConfig:
+def at_own_stand(config: VehicleConfig, berth: Berth) -> VehicleConfig:
     """Return the configuration of one of several, which stands where its search begins.
 
-    It returns there above those that search on, each at an altitude of its own, the separation apart.
+    It returns there above those that search on, each at an altitude of its own, the separation apart. The
+    further its stand is from the middle of the area, the higher: on its way out it passes above those that
+    come down to theirs.
     """
+    middle = [(low + high) / 2 for low, high in zip(config.area.low, config.area.high, strict=True)]
+    stands = sorted((berth.start, *berth.others), key=lambda stand: (math.dist(stand, middle), stand))
+    above_m = (1 + stands.index(berth.start)) * berth.separation_m
+    higher_m = max(config.return_altitude_m, config.takeoff_altitude_m) + above_m
     x, y = berth.start
-    higher_m = max(config.return_altitude_m, config.takeoff_altitude_m) + number * berth.separation_m
     return replace(config, stand=(y, x), return_altitude_m=min(higher_m, config.ceiling_m))
 
 

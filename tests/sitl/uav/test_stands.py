@@ -23,8 +23,8 @@ STEP_S = 0.05  # between two looks: at 5 m/s each that is 0.5 m of two that meet
 def standing(starts: Sequence[tuple[float, float]], **given: float) -> list[Vehicle]:
     """Vehicles whose search begins at these places, (x, y) m."""
     return [
-        Vehicle(at_own_stand(VehicleConfig(**given), Berth(start, (), SEPARATION_M), number))
-        for number, start in enumerate(starts, 1)
+        Vehicle(at_own_stand(VehicleConfig(**given), Berth(start, [*{*starts} - {start}], SEPARATION_M)))
+        for start in starts
     ]
 
 
@@ -62,7 +62,7 @@ def test_ways_home_that_cross_are_at_different_altitudes(same_altitude: bool) ->
     """Two at (20, 20) and (0, 20) return at once to (0, 0) and (20, 0): at one altitude they meet at (10, 10)."""
     vehicles = standing([(0.0, 0.0), (20.0, 0.0)])
     if same_altitude:
-        vehicles[1].configure(0.0, replace(vehicles[1].config, return_altitude_m=8.0))
+        vehicles[0].configure(0.0, replace(vehicles[0].config, return_altitude_m=8.0))
     up(vehicles)
     least_until(vehicles, 5.0)
     for vehicle, (x, y) in zip(vehicles, [(20.0, 20.0), (0.0, 20.0)], strict=True):
@@ -77,10 +77,22 @@ def test_ways_home_that_cross_are_at_different_altitudes(same_altitude: bool) ->
     assert not any(vehicle.armed for vehicle in vehicles)
 
 
+@pytest.mark.parametrize("behind_m", range(3, 16))
+def test_nobody_comes_down_through_the_level_of_one_that_passes(behind_m: int) -> None:
+    """The first one's way home, to the area's corner, leads over the second one's stand at (4, 4)."""
+    vehicles = standing([(0.0, 0.0), (4.0, 4.0)])
+    up(vehicles)
+    least_until(vehicles, 5.0)
+    for vehicle, along_m in zip(vehicles, (6.0 + behind_m, 6.0), strict=True):
+        vehicle.setpoint(vehicle.now_s, (along_m, along_m, -5.0))
+        vehicle.set_mode(vehicle.now_s, Mode.OFFBOARD)
+    least_until(vehicles, 30.0)
+    for vehicle in vehicles:
+        vehicle.set_mode(vehicle.now_s, Mode.RETURN)
+    assert least_until(vehicles, 80.0) >= SEPARATION_M
+    assert not any(vehicle.armed for vehicle in vehicles)
+
+
 def test_no_way_home_is_above_the_ceiling() -> None:
-    assert [vehicle.config.return_altitude_m for vehicle in standing([(0.0, 0.0)] * 4, ceiling_m=9.0)] == [
-        8.0,
-        9.0,
-        9.0,
-        9.0,
-    ]
+    vehicles = standing([(0.0, 0.0), (4.0, 0.0), (8.0, 0.0), (12.0, 0.0)], ceiling_m=9.0)
+    assert [vehicle.config.return_altitude_m for vehicle in vehicles] == [9.0, 9.0, 9.0, 8.0]
