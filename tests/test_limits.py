@@ -10,7 +10,9 @@ from link.bus import inbox, opening
 from link.bus.keys import BELIEF, KEYS, READING
 from link.record import reader
 from link.signing import timestamps
+from plume.mistakes import bounded_yaml
 from plume.problems import names
+from plume.walls import buildings
 from sitl.script import typed_yaml
 
 PAGE = Path(__file__).parents[1] / "docs" / "security.md"
@@ -40,7 +42,8 @@ def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
         "chunk of a record": f"{reader.LARGEST_PIECE // MIB} MiB",
         "mission script": f"{typed_yaml.MOST_BYTES:,} bytes; {typed_yaml.MOST_VALUES:,} values, aliases "
         "expanded",
-        "problem file": f"{names.MOST_BYTES:,} bytes; {names.MOST_VALUES:,} values, aliases expanded",
+        "problem file, file of buildings": f"{names.MOST_BYTES:,} bytes; {bounded_yaml.MOST_VALUES:,} "
+        "values, aliases expanded",
         "waiting messages of a key": f"{inbox.WAITING_MESSAGES:,} and the kept ones; "
         f"{inbox.WAITING_BYTES // MIB} MiB",
         "names of services": f"ours and {inbox.MOST_OTHERS} others",
@@ -58,6 +61,7 @@ def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
         "what waits for a TCP connection of a bridge": f"{tcp.MOST_BYTES // 1024} KiB",
         "signed MAVLink streams": f"{timestamps.MOST_STREAMS}",
     }
+    assert buildings.MOST_BYTES == names.MOST_BYTES
     assert {key.most_mib for key in KEYS if key is not BELIEF} == {READING.most_mib}
     compose = PAGE.parents[1] / "compose.yaml"
     assert f"max_message_size:{opening.MOST_MESSAGE}" in compose.read_text()  # its router is Zenoh's own

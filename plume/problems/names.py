@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
-from ruamel.yaml.nodes import MappingNode, SequenceNode
 
+from plume.mistakes.bounded_yaml import value_of
 from plume.mistakes.explained import nearest
 from plume.problem import PAPER, Problem
 from plume.problems import fences
@@ -28,7 +27,6 @@ ABOUT = (
 )
 FORMS = "paper, a YAML file, a fence (.kml, .geojson, .plan), or a JSON object of its fields"
 MOST_BYTES = 100_000
-MOST_VALUES = 20_000  # of a file, with every alias expanded: ten short lines can expand to ten billion values
 FIELDS = Problem.__struct_fields__
 
 
@@ -87,7 +85,7 @@ def of_file(name: str) -> Problem:
     if len(content) > MOST_BYTES:
         raise ValueError(f"{name}: more than {MOST_BYTES:,} bytes are not allowed")
     try:
-        value = _value(content.decode())
+        value = value_of(content.decode())
     except (YAMLError, ValueError, RecursionError, LookupError) as error:
         what = getattr(error, "problem", None) or str(error).split("\n")[0]
         mark = getattr(error, "problem_mark", None)
@@ -100,22 +98,6 @@ def of_file(name: str) -> Problem:
         return _made(value)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-
-
-def _value(text: str) -> Any:
-    """Return the value of a YAML text. Raises ValueError, YAMLError, LookupError or RecursionError."""
-    yaml = YAML(typ="safe", pure=True)
-    root = yaml.compose(text)
-    nodes, count = [root] if root else [], 0
-    while nodes:
-        node, count = nodes.pop(), count + 1
-        if count > MOST_VALUES:
-            raise ValueError(f"more than {MOST_VALUES:,} values, with aliases expanded, are not allowed")
-        if isinstance(node, SequenceNode):
-            nodes += node.value
-        elif isinstance(node, MappingNode):
-            nodes += [part for pair in node.value for part in pair]
-    return yaml.constructor.construct_document(root) if root else None
 
 
 def _made(fields: Any) -> Problem:

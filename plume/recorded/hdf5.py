@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
-from ruamel.yaml import YAML
 
+from plume.mistakes.bounded_yaml import value_of
 from plume.recorded.footage import MOST_BYTES, content_of, one_line
 from plume.recorded.movies import Movie, PixelGrid, Pixels, checked
 
@@ -129,7 +129,7 @@ def told(path: Path) -> MovieSidecar:
     content = content_of(path, LONGEST)
     try:
         with warnings.catch_warnings(action="ignore"):  # of anchors that are defined twice
-            value = YAML(typ="safe", pure=True).load(content)
+            value = value_of(content)
     except Exception as error:  # ruamel raises many kinds
         raise ValueError(f"{path}: not valid YAML: {one_line(error)}") from None
     try:

@@ -8,10 +8,10 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
-from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from plume.elementary import Array
+from plume.mistakes.bounded_yaml import value_of
 from plume.polygons import polygons
 from plume.polygons.polygons import crosses_itself
 
@@ -72,7 +72,7 @@ def read(file: str) -> Buildings:
 def parsed(content: bytes) -> Buildings:
     """Return the buildings that the bytes of a file describe. Raises ValueError, a line without the file."""
     try:
-        value = YAML(typ="safe", pure=True).load(content.decode())
+        value = value_of(content.decode())
     except (YAMLError, ValueError, RecursionError, LookupError) as error:
         what = getattr(error, "problem", None) or str(error).split("\n")[0]
         mark = getattr(error, "problem_mark", None)

@@ -153,6 +153,13 @@ def test_a_sidecar_that_is_wrong_says_which_field(tmp_path: Path, text: str, tol
     assert refused(path).startswith(f".plume-movie.yaml: {told}")
 
 
+@pytest.mark.timeout(20)
+def test_a_sidecar_whose_merge_keys_expand_to_billions_of_values_is_refused(tmp_path: Path) -> None:
+    lines = [f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 20)}]}}" for k in range(1, 9)]
+    path = writers.with_sidecar(tmp_path / "m.h5", FRAMES, "\n".join(["a0: &a0 {x: 1}", *lines]))
+    assert refused(path).startswith(".plume-movie.yaml: not valid YAML: more than 20,000 values")
+
+
 def test_a_sidecar_whose_dataset_is_not_there(tmp_path: Path) -> None:
     path = writers.with_sidecar(tmp_path / "m.h5", FRAMES, SIDECAR.replace("_001", "_002"))
     assert refused(path) == (": no dataset 'Plume Data/dataset_002' in the file itself; it has 'Plume Data'")
