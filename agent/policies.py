@@ -4,8 +4,10 @@ import argparse
 import ast
 import inspect
 import os
+import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType
@@ -71,7 +73,8 @@ def _first_line(module: str) -> str:
 
 def _about(plugin: EntryPoint) -> str:
     try:
-        about = inspect.getdoc(plugin.load()) or ""
+        with redirect_stdout(sys.stderr):  # for what it prints: stdout is the command's
+            about = inspect.getdoc(plugin.load()) or ""
     except (Exception, SystemExit) as error:  # it may be anybody's code
         about = f"does not load: {type(error).__name__}: {_short(str(error))}"
     return f"{about.partition(chr(10))[0]} [plug-in {plugin.value}]".lstrip()
@@ -165,7 +168,8 @@ def _plugged_in(name: str, plugins: Sequence[EntryPoint]) -> Policy:
             "one"
         )
     try:
-        found: Policy = plugin.load()
+        with redirect_stdout(sys.stderr):
+            found: Policy = plugin.load()
     except (Exception, SystemExit) as error:  # it may be anybody's code
         raise ValueError(
             f"{name} of {plugin.value} does not load: {type(error).__name__}: {_short(str(error))}"
@@ -249,7 +253,8 @@ def choose(name: str, belief: Belief, particles: Particles, seed: int, within: R
     seen = np.asfortranarray(particles).view()
     seen.flags.writeable = False
     try:
-        said: object = decide(belief, seen, within, keyed(seed, name, belief.step))
+        with redirect_stdout(sys.stderr):  # for what it prints: stdout is the command's, and may be JSON
+            said: object = decide(belief, seen, within, keyed(seed, name, belief.step))
     except (Exception, SystemExit) as error:  # it may be anybody's code
         where = traceback.extract_tb(error.__traceback__)[-1]
         raise PolicyError(

@@ -5,8 +5,9 @@ All commands, scripts, environments and functions take these names.
 
 import inspect
 import math
+import sys
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -47,7 +48,8 @@ class Named(NamedTuple):
 
     def air(self, truth: Scenario, seed: int) -> Air:
         """Return the air of a mission of which the release truly is this. Raises ValueError."""
-        return self.make(truth, seed, **self.parameters)
+        with redirect_stdout(sys.stderr):  # for what a plug-in prints: stdout is the command's
+            return self.make(truth, seed, **self.parameters)
 
 
 @lru_cache(64)
@@ -145,7 +147,8 @@ def _plugged_in(kind: str) -> Make:
             "wanted one"
         )
     try:
-        make: Make = plugins[0].load()
+        with redirect_stdout(sys.stderr):
+            make: Make = plugins[0].load()
         allowed = _allowed(make)
     except (Exception, SystemExit) as error:  # it may be anybody's code
         said = " ".join(str(error).split())[:200]

@@ -600,6 +600,28 @@ def test_a_package_that_does_not_fit_is_refused_before_anything_flies(
         assert words in said
 
 
+@pytest.mark.parametrize(
+    "words",
+    [("rollout", "--seed", "1"), ("evaluate", "--scenarios", "1", "--workers", "1")],
+    ids=lambda it: it[0],
+)
+def test_what_a_policy_prints_goes_to_stderr_and_leaves_the_json_alone(
+    plug: Plug,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
+) -> None:
+    plug("print('I load')\ndef theirs(*_):\n    print('I decide')\n    return 3.0, 4.0\n")
+    monkeypatch.chdir(tmp_path)
+    flags = ("--policy", "theirs", "--particles", "50", "--budget", "2", "--json")
+    assert not main(arguments=[*words, *flags])
+    out, err = capfd.readouterr()
+    assert isinstance(json.loads(out), dict)
+    assert "I load\n" in err
+    assert err.count("I decide\n") == 2
+
+
 @pytest.mark.full
 @pytest.mark.slow
 @pytest.mark.parametrize(

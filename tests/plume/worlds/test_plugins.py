@@ -193,6 +193,33 @@ def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
     assert worlds()["gone"].startswith("world gone of badworlds:gone does not load")
 
 
+TALKS = '''
+print("I load")
+
+
+def talks(scenario, seed):
+    """A world that prints."""
+    print("I make the air")
+
+    def air(places, times_s):
+        print("I blow")
+        return 0.5, (1.0, 0.0)
+
+    return air
+'''
+
+
+def test_what_a_world_prints_goes_to_stderr(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    install(tmp_path, "talkers", TALKS, talks="talks")
+    monkeypatch.syspath_prepend(tmp_path)
+    World(draw(1), 1, name="talks").gas((1.0, 2.0), 0)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert list(dict.fromkeys(err.splitlines())) == ["I load", "I make the air", "I blow"]
+
+
 @pytest.mark.full
 def test_a_plug_in_that_fails_ends_a_mission_with_a_line(tmp_path: Path) -> None:
     install(tmp_path, "badworlds", BAD, broken="broken", choosy="choosy")
