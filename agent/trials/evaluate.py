@@ -189,8 +189,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _there(args: argparse.Namespace) -> list[MissionRow]:
-    """Return the rows that --resume keeps. Raises OSError or ValueError."""
-    return read_csv(args.missions) if args.resume and args.missions and args.missions.exists() else []
+    """Return the rows of the table that stay: without --resume and --force another command's, which made it.
+
+    Raises OSError or ValueError.
+    """
+    keeps = args.missions and (args.resume or not args.force)
+    return read_csv(args.missions) if keeps and args.missions.is_file() else []
 
 
 def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
@@ -234,7 +238,7 @@ def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
         return cli.failed(f"{error}; {saved()}")
     if args.missions and len(complete(sweep, there)) < sweep.count:  # a file that has all stays as it is
         try:
-            # Read again: another command may have added rows to it meanwhile.
+            # Read again: another command may have made it, or added rows to it, meanwhile.
             write_csv([*filterfalse(answers(sweep), _there(args)), *rows], args.missions)
         except (OSError, ValueError) as error:
             raise cli.BadInput(

@@ -4,6 +4,7 @@ import csv
 import gzip
 import itertools
 import math
+import os
 import re
 import tracemalloc
 from collections.abc import Iterable, Iterator, Sequence
@@ -284,8 +285,9 @@ def test_rows_of_another_problem_stay_in_the_table(tmp_path: Path, monkeypatch: 
     assert (wide.problem, paper.problem) == ('{"area":{"low":[-20.0,0.0],"high":[80.0,50.0]}}', "paper")
 
 
+@pytest.mark.parametrize("keeping", [("--resume",), ()], ids=["resumed", "new"])
 def test_rows_that_another_command_adds_to_the_table_meanwhile_stay(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keeping: tuple[str, ...]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     flags = "--policy greedy --scenarios 1 --particles 50 --budget 2 --workers 1 --missions missions.csv"
@@ -293,12 +295,26 @@ def test_rows_that_another_command_adds_to_the_table_meanwhile_stay(
 
     def beside_another(workers: int) -> sweep.Flyer:
         monkeypatch.setattr(sweep, "on_cores", on_cores)
-        assert main(arguments=["evaluate", *flags.split(), "--first-seed", "5", "--resume"]) == 0
+        assert main(arguments=["evaluate", *flags.split(), "--first-seed", "5", *keeping]) == 0
         return on_cores(workers)
 
     monkeypatch.setattr(sweep, "on_cores", beside_another)
-    assert main(arguments=["evaluate", *flags.split(), "--first-seed", "3", "--resume"]) == 0
+    assert main(arguments=["evaluate", *flags.split(), "--first-seed", "3", *keeping]) == 0
     assert [row.seed for row in read_csv(tmp_path / "missions.csv")] == [5, 3]
+    assert main(arguments=["evaluate", *flags.split(), "--first-seed", "4", "--force"]) == 0
+    assert [row.seed for row in read_csv(tmp_path / "missions.csv")] == [4]
+
+
+@pytest.mark.timeout(60)
+def test_a_pipe_is_not_read_for_rows_to_keep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    reader = os.open("pipe", os.O_RDWR)
+    flags = "--policy greedy --scenarios 1 --particles 50 --budget 2 --workers 1 --missions pipe --resume"
+    assert main(arguments=["evaluate", *flags.split()]) == 0
+    said = os.read(reader, 100_000).decode().splitlines()
+    os.close(reader)
+    assert [line.partition(",")[0] for line in said] == ["policy", "greedy"]
 
 
 ROLLED_OUT, EVALUATED = "rollout", "evaluate --scenarios 2 --workers 1"
