@@ -4,6 +4,7 @@ import argparse
 import json
 import math
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ground.findings.background import Background, BackgroundError, background
@@ -17,6 +18,7 @@ from link.files import drop_if_empty
 from link.record.reader import RecordError, is_record
 from link.terminal import tell
 from scene.follow.described import problem_of
+from scene.scene import Point
 
 
 def _bounds(text: str) -> tuple[float, float, float, float]:
@@ -80,9 +82,8 @@ def run(args: argparse.Namespace) -> int:
     picture = _background(args, flight)
     folder = args.out or args.log.with_name(f"{args.log.stem}-findings")
     cli.make_folder("--out", folder, DOCUMENTS, args.force)
-    it = findings_of(flight)
+    it = save(flight, folder, picture)
     results = sys.stderr if args.json else sys.stdout
-    save(it, folder, picture)
     tell(f"{sentence(it)}\nfindings {folder / 'findings.html'}", results)
     if flight.remark:
         tell(f"warning: {args.log} {flight.remark}")
@@ -91,13 +92,31 @@ def run(args: argparse.Namespace) -> int:
     return cli.FAILED if flight.is_damaged else 0
 
 
-def save(it: Findings, folder: Path, picture: Background | None = None) -> None:
-    """Write the documents; raises BadInput if the folder does not take them."""
+def save(flight: Flight, folder: Path, picture: Background | None = None) -> Findings:
+    """Write the documents of a flight, and return its findings; without documents the folder goes, too.
+
+    Raises BadInput if the folder does not take them.
+    """
     try:
+        it = findings_of(flight, _watched)
         write(it, folder, picture)
+        return it
     except OSError as error:
-        drop_if_empty(folder)
         raise cli.BadInput(f"{folder}: {error.strerror}") from None
+    finally:
+        drop_if_empty(folder)
+
+
+def _watched(places: Sequence[Point]) -> Iterable[Point]:
+    """Give the places of the smallest rates, and tell on stderr that they are sought."""
+    from rich.console import Console
+    from rich.progress import track
+
+    what, console = "the smallest rate that would have been seen", Console(stderr=True)
+    if console.is_terminal:
+        return track(places, what, console=console, transient=True)
+    tell(f"looking for {what}, at {len(places)} places")
+    return places
 
 
 def _background(args: argparse.Namespace, flight: Flight) -> Background | None:

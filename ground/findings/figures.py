@@ -16,7 +16,7 @@ from ground.findings.assumed import Told, calibration, command_line, stop_text, 
 from ground.findings.flight import Flight, FlownReading
 from ground.findings.numbers import utc
 from ground.findings.region import Contour95, Ellipse95, contour_95, ellipse_95, places_of, scale_of
-from ground.findings.unseen import Smallest, smallest_rates
+from ground.findings.unseen import Smallest, Watch, smallest_rates
 from ground.findings.verdict import DOUBTFUL, NOT_FOUND, OUTSIDE, Judgement, verdict
 from link.bus.messages import Belief
 from plume import __version__
@@ -111,8 +111,8 @@ class Findings:
         return to_global(*self.flight.home, north, east)
 
 
-def findings_of(flight: Flight) -> Findings:
-    """Return the findings of a flight."""
+def findings_of(flight: Flight, watch: Watch = iter) -> Findings:
+    """Return the findings of a flight; `watch` as `smallest_rates` takes it."""
     last = flight.last
     told = told_of(last, flight.about)
     judged = verdict(flight, told)
@@ -133,7 +133,7 @@ def findings_of(flight: Flight) -> Findings:
         rate=_rate(flight),
         wind=_wind(flight),
         gas=last.intermittency,
-        smallest=smallest_rates(flight, told, area) if not_found else None,
+        smallest=smallest_rates(flight, told, area, watch=watch) if not_found else None,
         made_ns=int(datetime.now(UTC).timestamp() * 1e9),
     )
 

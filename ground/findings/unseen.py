@@ -8,7 +8,7 @@ track stays as it was: a search would have turned towards the gas.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ from scene.scene import Point
 
 Array = NDArray[np.float64]
 Place = Sequence[float]
+Watch = Callable[[Sequence[Point]], Iterable[Point]]  # gives places one by one, and may say how far it is
 PROBABILITY = 0.9
 CELLS = 15  # along a side of the area
 FLIGHTS = 200  # simulated for each place
@@ -94,13 +95,18 @@ METHOD = (
 )
 
 
-def smallest_rates(flight: Flight, told: Told, area: Area, flights: int = FLIGHTS) -> Smallest | None:
-    """Return the smallest rates that a flight would have seen; None for a sensor that is not known."""
+def smallest_rates(
+    flight: Flight, told: Told, area: Area, flights: int = FLIGHTS, watch: Watch = iter
+) -> Smallest | None:
+    """Return the smallest rates that a flight would have seen; None for a sensor that is not known.
+
+    Of thousands of readings it takes minutes: `watch` gives the places in their order.
+    """
     if told.sensor is None:
         return None
     every = -(-len(flight.samples) // MOST_READINGS)
     supposed = Supposed(flight, told.sensor, told.spikes, flights, every)
-    rates = np.array([smallest_rate(supposed, place) for place in middles(area)])
+    rates = np.array([smallest_rate(supposed, place) for place in watch(middles(area))])
     return Smallest(area, rates.reshape(CELLS, CELLS), every)
 
 

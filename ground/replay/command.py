@@ -13,13 +13,13 @@ import msgspec
 
 from ground.findings.command import save
 from ground.findings.documents import DOCUMENTS
-from ground.findings.figures import findings_of
 from ground.findings.flight import gathered, home_of
 from ground.findings.page import sentence
 from ground.replay.player import Player, replay
 from ground.replay.source import Source, find
 from ground.replay.verify import Rules
 from link import cli
+from link.files import drop_if_empty
 from link.record.reader import Recording, read
 from link.terminal import tell
 from plume import __version__
@@ -274,9 +274,9 @@ def _write_findings(result: Player, source: Source, args: argparse.Namespace) ->
     heard = Recording(about, [*source.entries, *result.said], complete=True)
     flight = gathered(heard, source.path, replayed_at=source.home)
     if flight is None:
+        drop_if_empty(args.findings)
         raise cli.BadInput(f"--findings: no belief was received for {args.log}")
-    it = findings_of(flight)
-    save(it, args.findings)
+    it = save(flight, args.findings)
     tell(
         f"{sentence(it)}\nfindings {args.findings / 'findings.html'}", sys.stderr if args.json else sys.stdout
     )

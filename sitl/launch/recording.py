@@ -108,12 +108,14 @@ def write_findings(record: Path, folder: Path, to: TextIO) -> bool:
     What it says goes to `to`, its warnings and errors to stderr.
     """
     words = ["-m", "sitl", "findings", str(record), "--out", str(folder), "--force"]
-    done = subprocess.run(
-        [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, check=False
-    )
+    try:
+        done = subprocess.run(
+            [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, check=False
+        )
+    finally:
+        drop_if_empty(folder)
     for line in done.stdout.splitlines():
         print(line, file=to)
-    drop_if_empty(folder)
     return done.returncode == 0
 
 

@@ -4,12 +4,14 @@ import json
 import shutil
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from ground.findings import command
 from ground.findings.documents import DOCUMENTS
 from link import cli
 from sitl.launch.recording import FINDINGS
-from tests.ground.findings.records import FOUND
+from tests.ground.findings.records import FOUND, believing, rewritten
 
 
 def written(*words: str) -> int:
@@ -110,6 +112,38 @@ def test_a_file_that_is_no_record_leaves_no_folder(
     assert written("noise.mcap") == written("none.mcap") == 2
     capsys.readouterr()
     assert [path.name for path in tmp_path.iterdir()] == ["noise.mcap"]
+
+
+def not_ceased(log: Path) -> str:
+    """The record of a flight that found nothing."""
+    path = log.with_name("nothing.mcap")
+    return str(rewritten(path, believing(lambda belief: msgspec.structs.replace(belief, ceased=False))))
+
+
+def test_of_a_flight_that_found_nothing_it_says_that_it_looks_for_the_smallest_rates(
+    log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of thousands of readings that takes minutes."""
+    assert written(not_ceased(log), "--json") == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["smallest_rate"]["cells"]
+    assert err.startswith("looking for the smallest rate that would have been seen, at 225 places\n")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes it for a terminal
+    assert written(not_ceased(log), "--json", "--force") == 0
+    again, err = capsys.readouterr()
+    assert json.loads(again)["smallest_rate"] == json.loads(out)["smallest_rate"]
+    assert "100%" in err
+
+
+def test_an_interrupt_leaves_no_folder(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        assert log.with_name("log-findings").is_dir()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "findings_of", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        written(str(log))
+    assert [path.name for path in log.parent.iterdir()] == ["log.mcap"]
 
 
 def test_fly_looks_for_the_files_that_findings_writes() -> None:
