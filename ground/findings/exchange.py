@@ -115,14 +115,17 @@ def _geometry(kind: str, parts: Sequence[Any]) -> dict[str, Any] | None:
 
 
 def _ways(it: Findings, places: Iterable[Sequence[float]]) -> list[list[Position]]:
-    """Return a way in parts that do not cross the antimeridian; places that are not on earth are left out."""
+    """Return a way in parts that do not cross the antimeridian, each of two different places at least.
+
+    Places that are not on earth are left out.
+    """
     path = _path(it, filter(it.on_earth, places))
-    return [
+    parts = [
         _positions(it, part, turn)
         for is_west, edge, turn in _sides(it)
         for part in _parts(path, edge, is_west)
-        if len(part) > 1
     ]
+    return [part for part in parts if any(place != part[0] for place in part)]
 
 
 def _shapes(it: Findings, rings: Iterable[Sequence[Sequence[float]]]) -> list[list[list[Position]]]:

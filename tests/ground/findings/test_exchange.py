@@ -115,6 +115,22 @@ def test_home_on_the_antimeridian_has_longitudes_within_180_degrees(found: Findi
     assert sorted(max(lon for lon, _ in rings[0]) > 0 for rings in polygons(area)) == [False, True]
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["east", "west"])
+def test_a_track_that_begins_at_the_antimeridian_is_one_line_on_its_side(
+    found: Findings, side: float
+) -> None:
+    track = np.array([(0.0, 0.0), (side * 5.0, 1.0), (side * 9.0, 2.0)], np.float32)
+    it = at(replace(found, flight=found.flight._replace(tracks={1: track})), LAT, 180.0)
+    [line] = [shape for kind, shape in shapes(it) if kind == "track"]
+    assert line["type"] == "LineString"
+    assert [math.copysign(1.0, lon) for lon, _ in line["coordinates"][1:]] == [-side, -side]
+
+
+def test_a_vehicle_that_stood_still_has_no_track(found: Findings) -> None:
+    it = at(replace(found, flight=found.flight._replace(tracks={1: np.ones((3, 2), np.float32)})), LAT, 10.0)
+    assert dict(shapes(it))["track"] is None
+
+
 def test_a_shape_that_crosses_twice_has_its_parts_on_each_side(found: Findings) -> None:
     """East of 24 m the U has two arms; west of it, one piece."""
     it = astride(found, 24.0)
