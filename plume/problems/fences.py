@@ -19,6 +19,7 @@ from plume.problem import CLEARANCE_M, FARTHEST_M, Area, Corners, Place, Problem
 
 MOST_BYTES = 1_000_000
 MOST_SHAPES = 1_000  # of a file
+DEEPEST = 50  # elements of KML within each other: each level is read once more
 DIGITS = 3  # metres are rounded to millimetres: the last bits of sines depend on the processor
 # Beginnings of the names of polygons to keep out of, without blanks and hyphens.
 OUT = ("keepout", "exclusion", "nofly")
@@ -166,6 +167,11 @@ def of_kml(text: str) -> GroundFence:
         raise ValueError(f"not valid XML: {error}") from None
     if _local(root) != "kml":
         raise ValueError(f"its root is <{_local(root)[:40]}>; wanted <kml>")
+    level = [root]
+    for _ in range(DEEPEST):
+        level = [inner for each in level for inner in each]
+    if level:
+        raise ValueError(f"elements nested more than {DEEPEST} deep are not allowed")
     shapes: list[Shape] = []
     for mark in root.iter():
         if _local(mark) != "Placemark":

@@ -207,6 +207,11 @@ def polygons(*inclusions: bool) -> dict:
 REFUSED = [
     ("a.kml", "", "not valid XML: no element found"),
     ("a.kml", "<kml><Document>", "not valid XML"),
+    (
+        "a.kml",
+        kml(more="<Folder>" * 48 + "</Folder>" * 48 + "<Placemark>" * 49 + "</Placemark>" * 49),
+        "elements nested more than 50 deep are not allowed",  # thousands would be read for hours
+    ),
     ("a.kml", "<gpx/>", "its root is <gpx>; wanted <kml>"),
     (
         "a.kml",
