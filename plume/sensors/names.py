@@ -48,7 +48,10 @@ LONGEST_DWELL_S = 600.0
 LIMITS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "missed": (0.0, 1.0),
-        "sensor_noise": (0.0, MOST),
+        # A reading drawn with more noise could lie beyond ±MOST, and no belief about that is taken.
+        "sensor_noise": (0.0, 1000.0),
+        "environment_noise": (1 / MOST, 1e10),
+        "background": (1 / MOST, 1e10),
         "cv": (0.0, GREATEST_CV),
         "dwell": (0.0, LONGEST_DWELL_S),
         "rise": (0.0, 3600.0),

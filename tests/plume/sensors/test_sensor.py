@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from plume.parameters import MOST
 from plume.sensors.names import GAUSSIAN, Sensor, parse, text
 from plume.sensors.sensor import Gaussian, Hits, Threshold
 
@@ -174,3 +175,20 @@ def test_a_sensors_name_alone_means_its_defaults() -> None:
 def test_a_bad_sensor_is_named_with_what_is_allowed(bad: str) -> None:
     with pytest.raises(ValueError, match="is not allowed"):
         parse(bad)
+
+
+@pytest.mark.parametrize(
+    ("noisiest", "beyond"),
+    [
+        ("gaussian:1000,1e10", "gaussian:1001"),
+        ("threshold:0.5,0,1000,1e10", "threshold:0.5,0,0.3,1.1e10"),
+        ("hits:3,1e10", "hits:3,1.1e10"),
+        ("pid:1000,1e10,saturation=1e12", "pid:0.1,1.1e10"),
+    ],
+)
+def test_the_noisiest_sensor_reads_what_a_belief_may_be_about(noisiest: str, beyond: str) -> None:
+    """Else a flight with it would end because the agent takes no such belief."""
+    readings = parse(noisiest).measure(np.full(DRAWS, 1e6), np.random.default_rng(7))
+    assert np.abs(readings).max() < MOST
+    with pytest.raises(ValueError, match=r"wanted a number from \S+ to "):
+        parse(beyond)
