@@ -16,6 +16,7 @@ DELIMITERS = ",;\t|"
 QUOTED = re.compile(r'"[^"]*"?')  # names between quotes, which may hold any of them
 THOUSANDS = re.compile(r"[+-]?\d{1,3},\d{3}")  # or a decimal comma before three digits
 LONGEST = 65_536  # characters of a row
+MOST_LINES = 20  # of a row, whose cells may have breaks between quotes; of more, a quote is not closed
 LOOKED_AT = 65_536  # bytes by which the encoding is told
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
@@ -96,14 +97,20 @@ def _rows(path: Path, lines: Iterator[str], delimiter: str, before: int) -> Iter
     """Yield rows, each with the number of its last line in the file, of which `before` lines came before."""
     reader = csv.reader(lines, delimiter=delimiter)
     while True:
+        begun = reader.line_num
         try:
             row = next(reader, None)
         except csv.Error as error:
             raise BadInput(
-                f"{path}, row {before + reader.line_num + 1}: it cannot be read ({error}); wanted a table of "
+                f"{path}, row {before + begun + 1}: it cannot be read ({error}); wanted a table of "
                 "comma-separated values (CSV)"
             ) from None
         if row is None:
             return
+        if reader.line_num - begun > MOST_LINES:
+            raise BadInput(
+                f'{path}, row {before + begun + 1}: its quote (") is not closed before row '
+                f"{before + reader.line_num}; wanted quotes in pairs, within {MOST_LINES} rows"
+            )
         if row:
             yield before + reader.line_num, row

@@ -470,6 +470,18 @@ def test_names_of_columns_may_hold_delimiters_and_breaks_between_quotes(tmp_path
     ]
 
 
+def test_a_quote_that_is_not_closed_does_not_take_the_rest_of_a_flight(tmp_path: Path) -> None:
+    many = [f"{n},51.5,9.{250_000 + 100 * n},1" for n in range(60)]
+    words = refused(plain(tmp_path, *many[:30], f'"{many[30]}', *many[31:]), columns=PLAIN, wind=CALM)
+    assert words.endswith(
+        'row 32: its quote (") is not closed before row 61; wanted quotes in pairs, within 20 rows'
+    )
+    remark = f'"{many[30]}\nin three\nlines"'
+    assert (
+        len(readings(read(plain(tmp_path, *many[:30], remark, *many[31:]), columns=PLAIN, wind=CALM))) == 59
+    )
+
+
 def test_a_comma_that_may_part_thousands_is_no_number_beside_points(tmp_path: Path) -> None:
     rows = [f'{n},51.5,9.{250_000 + 100 * n},"{n + 1},900"' for n in range(3)]
     assert "gas is '1,900'; wanted a number" in refused(plain(tmp_path, *rows), columns=PLAIN, wind=CALM)
