@@ -257,6 +257,9 @@ def run(args: argparse.Namespace) -> int:
         print(f"error: {failure}", file=sys.stderr)
         give_up(files, args.findings)
         return failure.status
+    except Exception:  # it was refused, such as by a router
+        give_up(files, args.findings)
+        raise
     if files:
         if trouble := files.take_place():
             tell(f"warning: {trouble}", sys.stderr)

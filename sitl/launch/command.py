@@ -132,10 +132,10 @@ def run(args: argparse.Namespace) -> int:
     policy = "connected" if args.connect else script.agent.policy
     summary = Path("runs") / f"{run_name(policy, script.seed)}.json"
     files = None if args.no_record else RecordFiles(args.record or summary.with_suffix(".mcap"))
-    if args.findings:
-        check_findings(args.findings, args.force, has_record=files is not None)
     if files:
         files.prepare(args.force)
+    if args.findings:
+        check_findings(args.findings, args.force, has_record=files is not None)
     page = MissionPage(wanted=args.view, opened=args.open, attended=sys.stderr.isatty() and not args.json)
     try:
         flown = fly(_launch(args, script, files.path if files else None), files, page)
@@ -150,6 +150,9 @@ def run(args: argparse.Namespace) -> int:
         print(f"error: {_refusal(args, str(failure)) if refused else failure}", file=sys.stderr)
         page.linger()
         return failure.status
+    except Exception:  # it was refused, such as by a router
+        give_up(files, args.findings)
+        raise
     _tell_outcome(args, flown, summary, files)
     written = True
     if files and args.findings:

@@ -5,6 +5,7 @@ somebody interrupts.
 import json
 import math
 import os
+import shutil
 import signal
 import socket
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from typing import NamedTuple
 
 import pytest
 
+from link.bus.opening import NoRouter
 from link.record.reader import read
 from plume.geodesy import HOME
 from tests.system.conftest import Part
@@ -20,6 +22,7 @@ from tests.system.live import run_sitl
 
 PARTS = ["router", "uav", "estimator", "agent"]
 LONG = ("sitl", "fly", "--policy", "random", "--speedup", "4")  # 300 moves take 87 s at this speed-up
+SURVEY = Path(__file__).parents[2] / "docs" / "examples" / "lawnmower.csv"
 M_PER_DEGREE = 6_371_000 * math.pi / 180  # to the north
 
 
@@ -294,6 +297,23 @@ def test_an_unreachable_router_is_one_line_and_status_2(start) -> None:
         assert ended.err == [
             "error: --connect: no router at tcp/127.0.0.1:1 (start one with: plumeward router)\n"
         ]
+
+
+def test_a_mission_that_is_refused_leaves_no_folder_for_its_findings(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(SURVEY, "survey.csv")
+    Path("old.mcap").touch()
+    nowhere = ("--connect", "tcp/127.0.0.1:1", "--findings", "found")
+    for words in (("fly", *nowhere), ("replay", "survey.csv", *nowhere)):
+        with pytest.raises(NoRouter):
+            run_sitl(monkeypatch, capsys, *words)
+        assert not Path("found").exists()
+    status, _, (line,) = run_sitl(monkeypatch, capsys, "fly", "--findings", "found", "--record", "old.mcap")
+    assert status == 2
+    assert line.startswith("error: --record: 'old.mcap' exists; ")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["old.mcap", "survey.csv"]
 
 
 def test_a_place_that_cannot_be_written_is_one_line_and_status_2_and_nothing_flies(
