@@ -301,6 +301,8 @@ def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
 
 def read_csv(path: Path) -> list[MissionRow]:
     """Read a file that this or an older version of `write_csv` wrote. Raises ValueError on anything else."""
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{path}: not a file; wanted one")
     with _open(path, "rt", compressed=path.suffix == ".gz") as file:
         reader = csv.reader(_lines(file))
         try:

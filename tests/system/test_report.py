@@ -1,5 +1,6 @@
 """Protects the command `report`: from the missions of `evaluate` to a page, and its errors."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,7 @@ def test_it_makes_a_page_of_what_evaluate_wrote(start, tmp_path: Path) -> None:
     assert again.err == ["error: --out: 'report/particles.png' exists; wanted another name, or --force\n"]
 
 
+@pytest.mark.timeout(60)
 def test_bad_input_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -42,6 +44,11 @@ def test_bad_input_is_one_line(
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "shopping.csv").write_text("what,many\neggs,6\n")
     (tmp_path / "file").touch()
+    for name in ("pipe", "folder", "link"):
+        (tmp_path / name).mkdir()
+    os.mkfifo(tmp_path / "pipe" / "a.csv")  # nobody writes to it
+    (tmp_path / "folder" / "a.csv").mkdir()
+    (tmp_path / "link" / "a.csv").symlink_to("nowhere.csv")
     for flags, error in (
         (
             ("--results", "nowhere"),
@@ -52,6 +59,9 @@ def test_bad_input_is_one_line(
             "error: --results: no missions in 'empty'; `plumeward evaluate --missions FILE.csv` writes",
         ),
         (("--results", "other"), "error: --results: other/shopping.csv: "),
+        (("--results", "pipe"), "error: --results: pipe/a.csv: not a file; wanted one"),
+        (("--results", "folder"), "error: --results: folder/a.csv: not a file; wanted one"),
+        (("--results", "link"), "error: --results: link/a.csv: No such file or directory"),
         (("--report", "empty"), "error: no flag '--report'"),
     ):
         status, out, (line,) = run_agent(monkeypatch, capsys, "report", *flags)

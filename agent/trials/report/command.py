@@ -58,6 +58,8 @@ def run(args: argparse.Namespace) -> int:
         leaderboard = read_boards(args.results, results)
     except ValueError as error:
         raise cli.BadInput(f"--results: {error}") from error
+    except OSError as error:
+        raise cli.BadInput(f"--results: {error.filename}: {error.strerror}") from error
     try:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
