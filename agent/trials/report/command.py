@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ from agent.trials.report.page import Picture, page
 from agent.trials.report.results import Results, read
 from agent.trials.report.tables import tables
 from link import cli
-from link.files import whole
+from link.files import drop_if_empty, whole
 from link.terminal import tell
 from plume.scenario import BUDGET_STEPS, SUCCESS_RADIUS_M
 
@@ -70,11 +71,13 @@ def run(args: argparse.Namespace) -> int:
         write(results, leaderboard, args.out, FLIGHTS)
     except OSError as error:
         raise cli.BadInput(f"--out: {error}") from error
+    finally:
+        drop_if_empty(args.out)
     return 0
 
 
 def write(results: Results, leaderboard: Leaderboard, out: Path, flights: int) -> None:
-    """Write pictures, tables and the page to a folder.
+    """Write pictures, tables and the page to a folder, or none of them.
 
     Two of the pictures show `flights` missions, which are flown here.
     """
@@ -83,27 +86,27 @@ def write(results: Results, leaderboard: Leaderboard, out: Path, flights: int) -
     from scene.drawing import STYLE
 
     pictures = []
-    with matplotlib.rc_context(STYLE):
-        for name, title, caption, figure in _drawn(results, flights):
-            pictures.append(Picture(name, title, caption, save(figure, out / name)))
-            tell(f"{out / name}.png, .svg", sys.stdout)
-    all_tables = [*leaderboard.tables(), *tables(results)]
-    text = "\n".join(["# Results\n", _summary(results) + "\n", *(it.markdown() for it in all_tables)])
-    for name, words in (("results.md", text), ("index.html", page(_summary(results), pictures, all_tables))):
-        with whole(out / name) as partial:
-            partial.write_text(words)
+    with ExitStack() as files:
+        with matplotlib.rc_context(STYLE):
+            for name, title, caption, figure in _drawn(results, flights):
+                pictures.append(Picture(name, title, caption, save(figure, out / name, files)))
+        all_tables = [*leaderboard.tables(), *tables(results)]
+        text = "\n".join(["# Results\n", _summary(results) + "\n", *(it.markdown() for it in all_tables)])
+        of_page = page(_summary(results), pictures, all_tables)
+        for name, words in (("results.md", text), ("index.html", of_page)):
+            files.enter_context(whole(out / name)).write_text(words)
+    for name in (*(f"{picture.name}.png, .svg" for picture in pictures), "results.md", "index.html"):
         tell(str(out / name), sys.stdout)
 
 
-def save(figure: "Figure", stem: Path) -> bytes:
-    """Write a picture as stem.png and stem.svg; returns the SVG."""
+def save(figure: "Figure", stem: Path, files: ExitStack) -> bytes:
+    """Write a picture as stem.png and stem.svg, which are there when `files` close; returns the SVG."""
     from scene.drawing import UNDATED
 
-    with whole(stem.with_suffix(".png")) as png:
-        figure.savefig(png, format="png")
-    with whole(stem.with_suffix(".svg")) as svg:
-        figure.savefig(svg, format="svg", metadata=UNDATED)
-        return svg.read_bytes()
+    figure.savefig(files.enter_context(whole(stem.with_suffix(".png"))), format="png")
+    svg = files.enter_context(whole(stem.with_suffix(".svg")))
+    figure.savefig(svg, format="svg", metadata=UNDATED)
+    return svg.read_bytes()
 
 
 def _summary(results: Results) -> str:

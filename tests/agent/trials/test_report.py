@@ -7,6 +7,7 @@ import base64
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from contextlib import ExitStack
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 from agent.policies import OURS
+from agent.trials import rollout
 from agent.trials.evaluate import write_csv
 from agent.trials.figures import MissionRow
 from agent.trials.report.command import FILES, run, save, write
@@ -350,8 +352,10 @@ def test_the_same_picture_is_the_same_file(tmp_path: Path, drawing: Any) -> None
     from scene.drawing import STYLE
 
     results = results_of(tmp_path, SEVERAL)
-    with matplotlib.rc_context(STYLE):
-        one, two = (save(drawing.against(results, "particles"), tmp_path / name) for name in ("one", "two"))
+    with matplotlib.rc_context(STYLE), ExitStack() as files:
+        one, two = (
+            save(drawing.against(results, "particles"), tmp_path / name, files) for name in ("one", "two")
+        )
     assert one == two
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
 
@@ -380,6 +384,29 @@ def test_a_report_is_files_that_need_nothing_else(tmp_path: Path) -> None:
     assert all(link.startswith(("#", "data:image/svg+xml;base64,")) for link in links)
     assert "url(" not in page
     assert "3 missions of thompson, seeds 1000000 to 1000002, N = 20, ζ = 0.5 m" in page
+
+
+@pytest.mark.parametrize("there", [(), ("particles.png",)], ids=["new", "forced"])
+def test_a_report_that_is_interrupted_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: tuple[str, ...]
+) -> None:
+    """By its last missions most of its pictures are drawn."""
+    results_of(tmp_path, SEVERAL)
+    out, fly = tmp_path / "report", rollout.rollout
+    out.mkdir()
+    for name in there:
+        (out / name).write_text("an older one")
+
+    def interrupted(seed: int, *words: Any, **more: Any) -> Any:
+        if seed == 1_000_002:
+            raise KeyboardInterrupt
+        return fly(seed, *words, **more)
+
+    monkeypatch.setattr(rollout, "rollout", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(argparse.Namespace(results=tmp_path, out=out, force=True))
+    assert {path.name: path.read_text() for path in out.glob("*")} == dict.fromkeys(there, "an older one")
+    assert out.exists() == bool(there)
 
 
 def test_without_matplotlib_it_says_what_to_install(
