@@ -27,7 +27,7 @@ from agent.trials.workers import WorkerLost
 from estimator.criterion import short
 from estimator.options import add_sensor_argument, criteria, knowledge
 from link import cli
-from link.files import whole
+from link.files import obstacle, whole
 from link.terminal import Column, table, tell, width_of
 from plume.problems.names import PROBLEMS
 from plume.problems.options import add_fleet_arguments, add_problem_argument, problem_of
@@ -218,6 +218,12 @@ def _evaluate(there: Sequence[MissionRow], args: argparse.Namespace) -> int:
         fleet=args.fleet,
     )
     journal = journal_of(sweep, KEPT_IN)
+    try:
+        KEPT_IN.mkdir(exist_ok=True)
+    except OSError as error:
+        raise cli.BadInput(f"no folder {str(KEPT_IN)!r} to keep missions in: {error.strerror}") from None
+    if reason := obstacle(journal):
+        raise cli.BadInput(f"{str(journal)!r}, which keeps missions, {reason}")
     workers = f"{args.workers} worker{'s' * (args.workers > 1)}"
     flyer, starting = (
         (on_cluster, "starting on Ray") if args.ray else (on_cores(args.workers), f"starting {workers}")

@@ -7,7 +7,7 @@ import math
 import os
 import re
 import tracemalloc
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -303,6 +303,31 @@ def test_rows_that_another_command_adds_to_the_table_meanwhile_stay(
     assert [row.seed for row in read_csv(tmp_path / "missions.csv")] == [5, 3]
     assert main(arguments=["evaluate", *flags.split(), "--first-seed", "4", "--force"]) == 0
     assert [row.seed for row in read_csv(tmp_path / "missions.csv")] == [4]
+
+
+@pytest.mark.parametrize(
+    ("in_the_way", "line"),
+    [
+        (Path.touch, "error: no folder 'runs' to keep missions in: File exists\n"),
+        (
+            lambda runs: runs.symlink_to("/proc/self"),
+            "error: 'runs/kept.jsonl', which keeps missions, cannot be written: No such file or directory\n",
+        ),
+    ],
+    ids=["file", "folder"],
+)
+def test_where_missions_cannot_be_kept_none_is_flown(
+    in_the_way: Callable[[Path], None],
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sweep, "journal_of", lambda _, folder: folder / "kept.jsonl")
+    in_the_way(tmp_path / "runs")
+    assert main(arguments=["evaluate", "--policy", "greedy", "--scenarios", "1", "--budget", "2"]) == 2
+    assert capsys.readouterr() == ("", line)
 
 
 @pytest.mark.timeout(60)
