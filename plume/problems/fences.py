@@ -296,9 +296,19 @@ def of_plan(text: str) -> GroundFence:
     return GroundFence(_lat_lon("mission.plannedHomePosition", *home[:2]), ins[0], outs)
 
 
+def each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the JSON object of these names and values. Raises ValueError if a name is there twice."""
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise ValueError(f"the name {name!r:.60} is there twice")
+        found[name] = value
+    return found
+
+
 def _json(text: str) -> dict[str, Any]:
     try:
-        document = json.loads(text)
+        document = json.loads(text, object_pairs_hook=each_once)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"not valid JSON: {str(error)[:200]}") from None
     if not isinstance(document, dict):

@@ -1,5 +1,6 @@
 """Problems by name: `paper`, a YAML file, or JSON, as flags, functions and environments take them."""
 
+import json
 import os
 import re
 import stat
@@ -8,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import msgspec
 from ruamel.yaml.error import YAMLError
 
 from plume.mistakes.bounded_yaml import value_of
@@ -55,9 +55,10 @@ def _of(text: str) -> Problem:
     if text in PROBLEMS:
         return PROBLEMS[text]
     try:
-        return _made(msgspec.json.decode(text))
-    except (msgspec.DecodeError, RecursionError) as error:
+        fields = json.loads(text, object_pairs_hook=fences.each_once)
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"not valid JSON: {str(error)[:200]}; wanted {FORMS}") from None
+    return _made(fields)
 
 
 def of_file(name: str) -> Problem:

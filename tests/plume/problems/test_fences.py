@@ -240,6 +240,7 @@ REFUSED = [
     ("a.geojson", "[]", "not a JSON object"),
     ("a.geojson", "{", "not valid JSON"),
     ("a.geojson", "[" * 100_000, "not valid JSON"),
+    ("a.plan", plan()[:-1] + ', "geoFence": {}}', "not valid JSON: the name 'geoFence' is there twice"),
     ("a.geojson", "{}", "wanted a FeatureCollection of up to 1,000 features"),
     ("a.geojson", geojson(features=[{}] * 1001), "wanted a FeatureCollection of up to 1,000 features"),
     ("a.geojson", geojson(features=[3]), r"features\[0\]: wanted a feature with a geometry"),

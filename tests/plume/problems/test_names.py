@@ -92,6 +92,11 @@ def test_a_name_that_is_none_says_what_is_allowed(tmp_path: Path) -> None:
         named({"type": "FeatureCollection"})
     with pytest.raises(ValueError, match="not valid JSON"):
         named("{area")
+    for text in ('{"step_m": 1, "step_m": 2}', '{"area": {"low": [0, 0], "high": [9, 9], "low": [1, 1]}}'):
+        with pytest.raises(ValueError, match=r"not valid JSON: the name '(step_m|low)' is there twice"):
+            named(text)
+    with pytest.raises(ValueError, match="step_m: nan is not allowed"):
+        named('{"step_m": NaN}')
     with pytest.raises(ValueError, match=r"Is a directory|a pipe or a device"):
         named(str(tmp_path))
     (tmp_path / "huge.yaml").write_bytes(b"#" * 200_000)
