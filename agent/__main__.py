@@ -10,6 +10,7 @@ import importlib
 import sys
 import traceback
 from concurrent.futures import BrokenExecutor
+from contextlib import redirect_stdout
 from types import ModuleType
 
 from agent import service
@@ -131,19 +132,20 @@ def _rollout(args: argparse.Namespace) -> None:
     from plume.outcome import outcome_json, outcome_text
 
     (stop,) = args.stops
-    result, trace = rollout(
-        args.seed,
-        args.policy,
-        args.particles,
-        moves=cli.reach_given(args),
-        problem=args.problem,
-        world=args.world,
-        stop=stop.text,
-        vehicles=args.fleet.vehicles,
-        formation=args.fleet.formation,
-        separation_m=args.fleet.separation_m,
-        **args.knowledge,
-    )
+    with redirect_stdout(sys.stderr):  # for what a plug-in prints: stdout is for the outcome
+        result, trace = rollout(
+            args.seed,
+            args.policy,
+            args.particles,
+            moves=cli.reach_given(args),
+            problem=args.problem,
+            world=args.world,
+            stop=stop.text,
+            vehicles=args.fleet.vehicles,
+            formation=args.fleet.formation,
+            separation_m=args.fleet.separation_m,
+            **args.knowledge,
+        )
     tell(outcome_text(result), sys.stderr if args.json else sys.stdout)
     if args.json:
         print(outcome_json(result, trace if args.trace else None))

@@ -253,8 +253,7 @@ def choose(name: str, belief: Belief, particles: Particles, seed: int, within: R
     seen = np.asfortranarray(particles).view()
     seen.flags.writeable = False
     try:
-        with redirect_stdout(sys.stderr):  # for what it prints: stdout is the command's, and may be JSON
-            said: object = decide(belief, seen, within, keyed(seed, name, belief.step))
+        said: object = decide(belief, seen, within, keyed(seed, name, belief.step))
     except (Exception, SystemExit) as error:  # it may be anybody's code
         where = traceback.extract_tb(error.__traceback__)[-1]
         raise PolicyError(

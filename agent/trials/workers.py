@@ -5,6 +5,7 @@ A killed worker raises an error, and no worker outlives its parent.
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
@@ -42,7 +43,7 @@ def as_flown(
     running: dict[Future[Result], Task] = {}
     alive, kept_open = context.Pipe(duplex=False)
     others = set(active_children())
-    with alive, kept_open, ProcessPoolExecutor(workers, context, _end_with_parent, (alive,)) as pool:
+    with alive, kept_open, ProcessPoolExecutor(workers, context, _begin, (alive,)) as pool:
         try:
             while True:
                 for task in islice(left, HANDED_OUT * workers - len(running)):
@@ -89,8 +90,12 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[[Task], Result], task:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _end_with_parent(alive: Connection) -> None:
-    """End this worker when its parent closes the other end of the pipe or dies."""
+def _begin(alive: Connection) -> None:
+    """Begin this worker: it ends when its parent closes the other end of the pipe or dies.
+
+    What a plug-in prints in it goes to stderr, as stdout is for the figures.
+    """
+    sys.stdout = sys.stderr
 
     def watch() -> None:
         try:

@@ -7,7 +7,7 @@ import inspect
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import redirect_stdout, suppress
+from contextlib import nullcontext, redirect_stdout, suppress
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -48,8 +48,7 @@ class Named(NamedTuple):
 
     def air(self, truth: Scenario, seed: int) -> Air:
         """Return the air of a mission of which the release truly is this. Raises ValueError."""
-        with redirect_stdout(sys.stderr):  # for what a plug-in prints: stdout is the command's
-            return self.make(truth, seed, **self.parameters)
+        return self.make(truth, seed, **self.parameters)
 
 
 @lru_cache(64)
@@ -76,7 +75,7 @@ def named(name: str) -> Named:
     world = Named(make, parameters, tuple(each for each in wrong if each != AS_MODELLED))
     try:
         world.errors(0)
-        with suppress(NoRelease):
+        with suppress(NoRelease), nullcontext() if gas in ("", *GASES) else redirect_stdout(sys.stderr):
             world.air(draw(0), 0)
     except (Exception, SystemExit) as error:  # it may be anybody's code
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
@@ -147,7 +146,7 @@ def _plugged_in(kind: str) -> Make:
             "wanted one"
         )
     try:
-        with redirect_stdout(sys.stderr):
+        with redirect_stdout(sys.stderr):  # for what it prints: stdout is the command's
             make: Make = plugins[0].load()
         allowed = _allowed(make)
     except (Exception, SystemExit) as error:  # it may be anybody's code

@@ -1,10 +1,9 @@
 """The world that one mission flies in: it knows the source, and says what instruments read."""
 
 import math
-import sys
 import traceback
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import redirect_stdout, suppress
+from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, partial
@@ -359,8 +358,7 @@ def _asked_along(world: World, places: Array, times_s: Array) -> tuple[Array, Ar
     Raises WorldError.
     """
     try:
-        with redirect_stdout(sys.stderr):  # for what a plug-in prints: stdout is the command's
-            said = world.air(places, times_s)
+        said = world.air(places, times_s)
         gas = np.asarray(said[0], np.float64).reshape(len(places))
         winds = np.asarray(said[1], np.float64).reshape(len(places), 2)
     except (Exception, SystemExit) as error:  # it may be anybody's code

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from agent.__main__ import main
 from agent.learn.env import SourceSearchVector
 from agent.trials.rollout import rollout
 from plume.dispersion import concentration
@@ -209,15 +210,27 @@ def talks(scenario, seed):
 '''
 
 
-def test_what_a_world_prints_goes_to_stderr(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    "words",
+    [("rollout", "--seed", "1"), ("evaluate", "--scenarios", "1", "--workers", "1")],
+    ids=["rollout", "evaluate"],
+)
+def test_what_a_world_prints_goes_to_stderr_and_leaves_the_json_alone(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
 ) -> None:
-    install(tmp_path, "talkers", TALKS, talks="talks")
+    module = f"talkers_{words[0]}"
+    install(tmp_path, module, TALKS, talks="talks")
     monkeypatch.syspath_prepend(tmp_path)
-    World(draw(1), 1, name="talks").gas((1.0, 2.0), 0)
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert list(dict.fromkeys(err.splitlines())) == ["I load", "I make the air", "I blow"]
+    monkeypatch.chdir(tmp_path)
+    flags = ("--world", "talks", "--particles", "50", "--budget", "2", "--json")
+    assert not main(arguments=[*words, *flags])
+    out, err = capfd.readouterr()
+    assert isinstance(json.loads(out), dict)
+    assert err.count("I blow\n") == 3
+    assert {"I load", "I make the air"} <= {*err.splitlines()}
 
 
 @pytest.mark.full
