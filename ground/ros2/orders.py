@@ -2,7 +2,6 @@
 
 import math
 import re
-import time
 from collections import deque
 from contextlib import suppress
 from typing import Any
@@ -34,6 +33,8 @@ ACK = mavlink.MAVLINK_MSG_ID_COMMAND_ACK
 AGAIN_S = 0.4  # time after which a command that nobody has acknowledged is sent again
 MOST, WITHIN_S = 5, 1.0  # most commands in so many seconds; an abort is always taken
 MALFORMED, REFUSED = "malformed", "command"  # kinds of refusals
+# The same refusal is told again after so many seconds, and meanwhile at most so many others.
+TOLD_S, MOST_TOLD = 10.0, 20
 FLYING_ITSELF = ("taking off", "searching")  # states in which the search leads
 FLYING = (*FLYING_ITSELF, "paused", "holding", "returning")
 NOBODY, US, OTHERS = "nobody", "us", "others"
@@ -90,6 +91,7 @@ class RosOrders:
         self._bus, self._wire = bus, wire
         self._lead, self._texts, self._codec = Lead(), Texts(), Codec(*ROS_IDS)
         self._times_s: deque[float] = deque(maxlen=MOST)
+        self._told: dict[str, float] = {}  # the refusals of the last TOLD_S that were told, and when
         self._run: CommandRun | None = None
         self._what = self._reason = ""
         self._asked = 0, AUTOPILOT  # system and component that the command is for
@@ -115,9 +117,11 @@ class RosOrders:
             if self._run and self._run.refused:
                 self._reason = text
 
-    def take(self, topic: Topic, data: bytes, attached: bytes, history: History) -> None:
-        """Take a message of a command's topic. One that is not obeyed is counted and told."""
-        now_s = time.monotonic()
+    def take(self, topic: Topic, data: bytes, attached: bytes, history: History, now_s: float) -> None:
+        """Take a message of a command's topic. One that is not obeyed is counted and told.
+
+        now_s: by time.monotonic().
+        """
         try:
             if not is_attachment(attached):
                 raise BadMessage(f"it has no attachment of {ATTACHMENT_BYTES} bytes, as ROS gives it")
@@ -128,7 +132,8 @@ class RosOrders:
             if topic is not ABORT and len(self._times_s) == MOST and now_s - self._times_s[0] < WITHIN_S:
                 raise Refusal(f"more than {MOST} commands within {WITHIN_S:g} s")
         except (BadMessage, Refusal) as error:
-            self._refuse(topic.name, str(error), REFUSED if isinstance(error, Refusal) else MALFORMED)
+            kind = REFUSED if isinstance(error, Refusal) else MALFORMED
+            self._refuse(topic.name, str(error), kind, now_s)
             return
         self._times_s.append(now_s)
         self._what, self._reason, self._asked = what, "", (history.own.system, component)
@@ -149,11 +154,16 @@ class RosOrders:
             self._lead.obeyed()
             self._bus.log.info(f"the vehicle obeys: {self._what}")
         else:
-            self._refuse(self._what, result.reason, REFUSED)
+            self._refuse(self._what, result.reason, REFUSED, now_s)
 
-    def _refuse(self, what: str, reason: str, kind: str) -> None:
+    def _refuse(self, what: str, reason: str, kind: str, now_s: float) -> None:
+        """Count a refusal, and log it unless that floods the log: a node may ask fifty times a second."""
         self._bus.tally.refuse(kind)
-        self._bus.log.warning(f"refused {what}: {reason[:300]}")
+        said = f"refused {what}: {reason[:300]}"
+        self._told = {told: at_s for told, at_s in self._told.items() if now_s - at_s < TOLD_S}
+        if said not in self._told and len(self._told) < MOST_TOLD:
+            self._told[said] = now_s
+            self._bus.log.warning(said)
 
     def _command(self, topic: Topic, message: Any, history: History) -> tuple[str, int, Message]:
         """Return a command in words, the component it is for, and the MAVLink message. Raises Refusal."""

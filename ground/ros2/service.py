@@ -74,7 +74,7 @@ class Ros:
                 history = self._translation.history
                 for arrival in arrivals:
                     self._orders.hears(arrival, history, now_s)
-                self._ask(self._orders)
+                self._ask(self._orders, now_s)
                 self._orders.go_on(now_s)
 
     def close(self) -> None:
@@ -89,11 +89,11 @@ class Ros:
         self._ros.say(topic, message)
         self._bus.tally.did(-1)
 
-    def _ask(self, orders: RosOrders) -> None:
+    def _ask(self, orders: RosOrders, now_s: float) -> None:
         self._inbox.tell_dropped(self._bus.log)
         for _ in range(self._inbox.waiting()):
             asked: Asked = self._inbox.get(0.0)
-            orders.take(*asked, self._translation.history)
+            orders.take(*asked, self._translation.history, now_s)
 
     def _look_after(self) -> None:
         """Keep the link and the clock."""

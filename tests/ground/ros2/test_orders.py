@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from ground.ros2 import rmw
-from ground.ros2.orders import MALFORMED, MOST, REFUSED, ROS_IDS, RosOrders
+from ground.ros2.orders import MALFORMED, MOST, MOST_TOLD, REFUSED, ROS_IDS, RosOrders
 from ground.ros2.topics import ABORT, GOAL, PAUSE
 from ground.ros2.wire import Wire
 from link.bus.keys import HEALTH, MAVLINK_IN, MAVLINK_OUT, Key
@@ -86,7 +86,8 @@ class Vehicle:
     def ask(self, topic: Any, message: Any, attached: bytes = ATTACHED) -> list[int]:
         """Ask for something; returns the numbers of the commands that went to the vehicle."""
         before = len(self.sent)
-        self.orders.take(topic, self.wire.encode(topic.kind, message), attached, self.history)
+        data = self.wire.encode(topic.kind, message)
+        self.orders.take(topic, data, attached, self.history, self.now_s)
         return [it.command for it in self.sent[before:]]
 
     def pause(self, yes: bool = True) -> list[int]:
@@ -220,16 +221,14 @@ def test_a_refusal_of_the_vehicle_is_told_with_its_reason(searched: Vehicle) -> 
 
 
 def test_a_command_is_sent_again_until_it_is_acknowledged(searched: Vehicle) -> None:
-    import time
-
     searched.pause()
-    searched.orders.go_on(time.monotonic() + 1.0)
+    searched.orders.go_on(1.0)
     assert [it.confirmation for it in searched.sent] == [0, 1]
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\xff" * 5000, b"\0\1\0\0" + b"\xff" * 60])
 def test_hostile_bytes_are_counted_told_and_dropped(searched: Vehicle, data: bytes) -> None:
-    searched.orders.take(GOAL, data, ATTACHED, searched.history)
+    searched.orders.take(GOAL, data, ATTACHED, searched.history, searched.now_s)
     assert searched.sent == []
     assert searched.tally.refused == {MALFORMED: 1}
     assert searched.log.lines[-1].startswith("refused goal_pose: ")
@@ -243,6 +242,24 @@ def test_a_message_without_ros_s_attachment_is_dropped(searched: Vehicle) -> Non
 def test_a_flood_of_commands_is_refused_but_an_abort_is_not(searched: Vehicle) -> None:
     assert [searched.pause() for _ in range(MOST + 1)] == [[HOLD]] * MOST + [[]]
     assert searched.abort() == [RETURN]
+
+
+def test_a_command_that_is_refused_fifty_times_a_second_is_told_every_ten_seconds(searched: Vehicle) -> None:
+    searched.is_in("landed")
+    for tick in range(50 * 25):
+        searched.now_s = tick / 50
+        searched.pause()
+    assert searched.tally.refused == {REFUSED: 50 * 25}
+    assert len(searched.log.lines) == 3  # at 0, 10 and 20 s
+
+
+def test_refusals_that_all_differ_do_not_flood_the_log(searched: Vehicle) -> None:
+    for i in range(1000):
+        searched.goal(1.0, 1.0, 1.0, frame=f"frame {i}")
+    assert len(searched.log.lines) == MOST_TOLD
+    searched.now_s = 10.0
+    searched.goal(1.0, 1.0, 1.0, frame="another frame")
+    assert "another frame" in searched.log.lines[-1]
 
 
 def test_the_search_of_a_real_vehicle_gets_the_commands(searched: Vehicle) -> None:
