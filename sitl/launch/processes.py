@@ -62,9 +62,10 @@ KINDS = {
     ROUTER: PartKind(answers=True, turn=3),
     PAGE: PartKind(answers=True, spared="the page ended"),
 }
-# A part that flies a real vehicle. It is never suspended.
+# A part that flies a real vehicle. It is never suspended. It ends once the vehicle stands, comes down, or is
+# a pilot's.
 FLYING = PartKind(
-    turn=0, last_task="send the vehicle home", last_task_s=10.0, if_killed="its keeper has the vehicle"
+    turn=0, last_task="leave the vehicle safe", last_task_s=10.0, if_killed="its keeper has the vehicle"
 )
 
 

@@ -257,7 +257,7 @@ def test_a_part_that_flies_a_real_vehicle_ends_first_and_has_time_to_send_it_hom
     launched.processes.stop()
     assert estimator.wait(0.0)
     assert said.read_text() == "home, and the estimator is there"
-    assert capsys.readouterr().err == "waiting for the uav to send the vehicle home\n"
+    assert capsys.readouterr().err == "waiting for the uav to leave the vehicle safe\n"
 
 
 def test_a_part_that_flies_a_real_vehicle_and_hangs_is_killed_in_the_end_and_people_are_told(
@@ -297,7 +297,7 @@ def test_a_part_that_has_lost_its_signal_is_told_again(
     wait_until(launched.lines)
     launched.processes.stop()
     assert (
-        capsys.readouterr().err == "waiting for the uav to send the vehicle home\n"
+        capsys.readouterr().err == "waiting for the uav to leave the vehicle safe\n"
     )  # and not that it hangs and is killed
 
 
