@@ -127,6 +127,24 @@ def test_the_inset_of_a_small_belief_hides_no_vehicle_on_a_phone(
         assert top + side < height
 
 
+def test_where_vehicles_are_in_every_corner_the_inset_hides_another_than_the_one_that_is_shown(
+    stage: Stage, look: Callable[..., Window]
+) -> None:
+    near = replace(measured(6, 0.2, estimate=(10.0, 20.0)), covariance=(0.02, 0.0, 0.02))
+    for name, place in {"uav/1": (27.0, 3.0), "uav/2": (3.0, 3.0), "uav/3": (10.0, 27.0)}.items():
+        stage.enter(
+            replace(scene(name), craft=replace(scene().craft, position=place), waypoint=None), "search"
+        )
+    stage.vehicles["uav/1"].show(measurements=(*scene().measurements, near))
+    window = drawn(look(stage.address, PHONE, has_touch=True, is_mobile=True))
+    window.until(f"{MAP}.inset && {MAP}.others.filter(({{ scene }}) => scene).length === 2")
+    window.drawn()
+    left, top, side = window.of(f"[{MAP}.inset.left, {MAP}.inset.top, {MAP}.inset.width]")
+    for x, y in ((27.0, 3.0), (10.0, 20.0)):  # the vehicle that is shown, and the belief
+        px, py = window.of(f"[{MAP}.view.x({x}), {MAP}.view.y({y})]")
+        assert not (left - 8 < px < left + side + 8 and top - 8 < py < top + side + 8)
+
+
 def test_what_is_under_the_pointer_is_told(window: Window) -> None:
     window.page.mouse.move(*at(window, 15.0, 15.0))
     window.until("document.querySelector('.pointer').textContent")

@@ -92,7 +92,7 @@ export class WorldMap {
 
   /**
    * The window of the inset in px, null where none is wanted. It lies in the lower corner that is farther from the belief, in the other one,
-   * or in the upper left one: the first where it hides no vehicle.
+   * or in the upper left one: the first where it hides no vehicle, else the first where it hides only others.
    */
   insetOf(scene, view, others) {
     if (!scene.estimate || this.camera.mode === "belief") return null;
@@ -102,9 +102,9 @@ export class WorldMap {
     const low = this.height - side - 58, corners = [[46, low], [this.width - side - 12, low]];
     if (view.x(scene.estimate.x) < this.width / 2) corners.reverse();
     corners.push([28, 44]); // below the wind, beside the buttons of a phone
-    const places = [scene.estimate, placeOf(scene, scene), ...others.map((one) => placeOf(scene, one.scene))].filter(Boolean);
-    const hides = ([left, top]) => places.some(({ x, y }) => Math.abs(view.x(x) - left - side / 2) < side / 2 + BESIDE && Math.abs(view.y(y) - top - side / 2) < side / 2 + BESIDE);
-    const [left, top] = corners.find((corner) => !hides(corner)) ?? corners[0];
+    const own = [scene.estimate, placeOf(scene, scene)], all = [...own, ...others.map((one) => placeOf(scene, one.scene))];
+    const hides = ([left, top], places) => places.some((at) => at && Math.abs(view.x(at.x) - left - side / 2) < side / 2 + BESIDE && Math.abs(view.y(at.y) - top - side / 2) < side / 2 + BESIDE);
+    const [left, top] = corners.find((corner) => !hides(corner, all)) ?? corners.find((corner) => !hides(corner, own)) ?? corners[0];
     return { left, top, width: side, height: side, scale: side / Math.max(1, 5 * radius) };
   }
 
