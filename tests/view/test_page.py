@@ -453,6 +453,36 @@ def test_on_a_phone_the_legend_lies_below_the_map_and_a_name_at_its_edge_is_whol
     window.keep("phone-legend", whole=True)
 
 
+@pytest.mark.parametrize("size", [(1000, 700), (1200, 800), (1280, 800), (1280, 1024), (1920, 1080)])
+def test_the_legend_is_open_at_first_only_where_it_does_not_lie_on_the_area(
+    stage: Stage, look: Callable[..., Window], size: tuple[int, int]
+) -> None:
+    stage.enter(scene())
+    window = drawn(look(stage.address, size))
+    left, is_open = window.of(
+        "(({ left }, { open }) => [left, open])(document.querySelector('.legend-fold').getBoundingClientRect(), "
+        "document.querySelector('.legend-fold'))"
+    )
+    east = window.of(
+        "document.querySelector('canvas').getBoundingClientRect().left + "
+        "plumeward.panes.get('uav/1').map.view.x(30)"
+    )
+    assert left > east or not is_open
+    assert is_open == (size in {(1280, 800), (1920, 1080)})
+
+
+def test_the_list_of_vehicles_of_one_search_begins_with_what_tells_them_apart(
+    stage: Stage, look: Callable[..., Window]
+) -> None:
+    """A phone shows only the first letters of a choice."""
+    for name in ("search/1/uav/1", "search/1/uav/2"):
+        stage.enter(scene(name), "search/1")
+    window = drawn(look(stage.address, PHONE, has_touch=True, is_mobile=True), "search/1/uav/1")
+    window.until("plumeward.state.vehicles.length === 2")
+    choices = window.page.locator("#first option").all_inner_texts()
+    assert [choice.split(" · ")[0] for choice in choices] == ["uav/1", "uav/2"]
+
+
 def test_a_vehicle_that_is_chosen_again_shows_all_that_it_showed_before(stage: Stage, window: Window) -> None:
     stage.enter(scene("uav/2"))
     window.until("plumeward.state.vehicles.length === 2")

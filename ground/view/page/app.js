@@ -123,7 +123,7 @@ function show(names) {
 /** Bring all around the drawings up to date: choices, titles, what may be done. */
 function arrange() {
   const [first, second = ""] = state.show;
-  const option = (vehicle, chosen) => new Option([vehicle.name, vehicle.title, vehicle.here ? "" : "(gone)"].filter(Boolean).join(" · "), vehicle.name, false, vehicle.name === chosen);
+  const option = (vehicle, chosen) => new Option([state.models[vehicle.name].label, vehicle.title, vehicle.here ? "" : "(gone)"].filter(Boolean).join(" · "), vehicle.name, false, vehicle.name === chosen);
   find("first").replaceChildren(...state.vehicles.map((vehicle) => option(vehicle, first)));
   find("second").replaceChildren(new Option("none", "", false, !second), ...state.vehicles.filter(({ name }) => name !== first).map((vehicle) => option(vehicle, second)));
   find("choose-first").hidden = !state.vehicles.length;

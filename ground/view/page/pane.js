@@ -42,7 +42,7 @@ export class Pane {
     look(".to-belief", () => { this.map.camera.mode = "belief"; });
     look(".to-all", () => { this.map.camera.mode = "all"; });
     find(".picture-open").addEventListener("click", () => this.on.picture(this.map));
-    find(".legend-fold").open = matchMedia("(min-width: 62rem)").matches;
+    find(".legend-fold").open = matchMedia("(min-width: 79rem) and (min-aspect-ratio: 3/2)").matches; // there it lies beside the area
   }
 
   /** Look at the belief, or at all. */
