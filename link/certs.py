@@ -7,9 +7,9 @@ from itertools import groupby
 from pathlib import Path
 
 from link import cli
-from link.access.authority import CA, CA_DAYS, ROUTER_NAMES, Made, host, make, risks
+from link.access.authority import CA, CA_DAYS, REPLACE, ROUTER_NAMES, Made, host, make, risks, unnamed
 from link.access.identity import AccessError
-from link.access.roles import MOST_IN_A_SEARCH, MOST_SEARCHES, MOST_VEHICLES
+from link.access.roles import MOST_IN_A_SEARCH, MOST_SEARCHES, MOST_VEHICLES, ROUTER
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--router",
         type=cli.listed(cli.checked(host)),
-        default=list(ROUTER_NAMES),
         metavar="HOST,HOST",
         help=f"names and addresses at which clients reach the router (default: {','.join(ROUTER_NAMES)})",
     )
@@ -57,7 +56,9 @@ def run(args: argparse.Namespace) -> int:
         wanted = f"wanted whole numbers from 1 to {MOST_IN_A_SEARCH}"
         return cli.failed(f"--vehicles: {highest} is not allowed with --search; {wanted}", cli.BAD_INPUT)
     try:
-        made = make(args.folder, args.vehicles, args.router, args.days, search=args.search, force=args.force)
+        hosts = args.router or ROUTER_NAMES
+        made = make(args.folder, args.vehicles, hosts, args.days, search=args.search, force=args.force)
+        lacks = unnamed(args.folder, args.router or ())
     except (AccessError, OSError) as error:
         told = (
             f"cannot write {error.filename or args.folder}: {error.strerror}"
@@ -65,6 +66,9 @@ def run(args: argparse.Namespace) -> int:
             else error
         )
         return cli.failed(f"DIR: {told}", cli.BAD_INPUT)
+    if lacks:
+        told = f"{args.folder / ROUTER}.pem is kept, and does not name {', '.join(lacks)}: {REPLACE}"
+        print(f"warning: --router: {told}", file=sys.stderr)
     for risk in risks(args.folder):
         print(f"warning: DIR: {risk}", file=sys.stderr)
     print("\n".join(_summary(args.folder, made)))

@@ -140,6 +140,15 @@ def risks(folder: Path) -> list[str]:
     return said
 
 
+def unnamed(folder: Path, hosts: Iterable[str]) -> list[str]:
+    """Return those of these hosts that the router's certificate in a folder does not name."""
+    try:
+        names = _read(folder / ROUTER).extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return list(hosts)
+    return [text for text in hosts if _alternative(text) not in names]
+
+
 def files(path: Path) -> tuple[Path, Path]:
     """Return the files of a certificate and of its key; `path` is without ending."""
     return path.with_name(f"{path.name}.pem"), path.with_name(f"{path.name}.key")

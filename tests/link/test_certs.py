@@ -61,6 +61,23 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
         assert capsys.readouterr().err.splitlines() == [f"python -m link certs: error: {said}"]
 
 
+def test_a_router_s_certificate_that_is_kept_and_lacks_a_name_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made(capsys, str(tmp_path))
+    status, lines, err = made(capsys, str(tmp_path), "--router", "localhost,drone.example,10.0.0.1")
+    assert (status, [line.split("  ")[0] for line in lines[:-1]]) == (0, ["kept"] * 3)
+    assert err == (
+        f"warning: --router: {tmp_path}/router.pem is kept, and does not name drone.example, 10.0.0.1: delete it "
+        "and its key, or give --force\n"
+    )
+    for file in ("router.pem", "router.key"):
+        (tmp_path / file).unlink()
+    assert made(capsys, str(tmp_path), "--router", "drone.example,10.0.0.1")[2] == ""
+    assert made(capsys, str(tmp_path), "--router", "10.0.0.1")[2] == ""
+    assert made(capsys, str(tmp_path), "--vehicles", "2")[2] == ""  # the default asks for nothing
+
+
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     status, out, err = made(capsys, str(tmp_path / "file"))
