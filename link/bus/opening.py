@@ -12,7 +12,7 @@ import zenoh
 import zenoh.ext
 
 from link.access.identity import Identity, is_refused, secured, why_not
-from link.access.reach import host_and_port
+from link.access.reach import can_be_called, host_and_port
 from link.access.roles import ROUTER, Rights, access_control
 from link.bus.keys import BELIEF, KEYS, MIB, Delivery
 
@@ -177,6 +177,11 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
             raise BusError(
                 f"--{kind}: {', '.join(urls)!r} is not a Zenoh endpoint; wanted one like {DEFAULT_ROUTER}"
             ) from None
+        if kind == "connect" and (odd := [url for url in urls if not can_be_called(url)]):
+            raise BusError(
+                f"--{kind}: {odd[0]!r} is not allowed; wanted one like {DEFAULT_ROUTER}, with a host and a "
+                "port from 1 to 65535"
+            )
     for name, value in settings.items():
         try:
             config.insert_json5(name.replace("__", "/"), json.dumps(value))

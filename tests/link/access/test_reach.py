@@ -6,7 +6,7 @@ import pytest
 
 from aircraft.bridge.address import parse_address
 from ground.view.access import AccessRules
-from link.access.reach import endpoint_is_open, is_open
+from link.access.reach import can_be_called, endpoint_is_open, is_open
 
 OPEN = {
     "127.0.0.1": False,
@@ -58,3 +58,17 @@ def test_an_endpoint_of_a_router_is_open_by_its_host() -> None:
     assert not endpoint_is_open("tcp/127.0.0.2:0?prio=1#iface=lo")
     assert endpoint_is_open("tls/[::]:0#iface=lo")
     assert not endpoint_is_open("unixsock-stream/router.sock")  # a file
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["tcp/10.0.0.7:65535", "tls/[::1]:1?prio=1#iface=lo", "unixsock-stream/a"]
+)
+def test_an_endpoint_with_host_and_port_can_be_called(endpoint: str) -> None:
+    assert can_be_called(endpoint)
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["tcp/a", "tcp/:1", "tcp/a:", "tcp/a:0", "tls/a:65536", "udp/a:²", "ws/[::1]"]
+)
+def test_an_endpoint_without_host_or_port_cannot_be_called(endpoint: str) -> None:
+    assert not can_be_called(endpoint)

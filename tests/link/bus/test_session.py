@@ -422,6 +422,18 @@ def test_the_attachment_arrives_with_its_payload(router: str) -> None:
         (lambda used: open_router("7447"), "--listen: '7447' is not a Zenoh endpoint; wanted one like tcp/"),
         (lambda used: Bus("uav", "7447"), "--connect: '7447' is not a Zenoh endpoint; wanted one like tcp/"),
         (
+            lambda used: Bus("uav", "tcp/127.0.0.1"),
+            "--connect: 'tcp/127.0.0.1' is not allowed; wanted one like",
+        ),
+        (lambda used: Bus("uav", "tcp/[::1]"), "--connect: .* a host and a port from 1 to 65535"),
+        (lambda used: Bus("uav", "tcp/127.0.0.1:70000"), "--connect: .* a host and a port from 1 to 65535"),
+        (lambda used: Bus("uav", "tcp/127.0.0.1:74x7?prio=1"), "--connect: .* a host and a port from 1 to"),
+        (lambda used: Bus("uav", "tcp/:7447"), "--connect: 'tcp/:7447' is not allowed"),
+        (
+            lambda used: open_router("tcp/127.0.0.1:0", connect="tcp/192.0.2.1:0"),
+            "--connect: 'tcp/192.0.2.1:0' is not allowed; wanted one like",
+        ),
+        (
             lambda used: Bus("uav", used, ""),
             "--namespace: '' is not allowed; wanted words separated by single slashes",
         ),
