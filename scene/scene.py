@@ -122,7 +122,10 @@ class Craft:
     fix: tuple[float, float, float] | None = None  # latitude, longitude, degrees, and altitude above sea, m
     condition: Condition = Condition()
     speed_mps: float = math.nan  # over ground; NaN if unknown
-    home: Point = (0.0, 0.0)  # its own, of a real vehicle that searches with others not the frame's origin
+    home: Point = (
+        0.0,
+        0.0,
+    )  # its own: of one that searches with others not the frame's origin; NaN if unknown
 
     @property
     def home_m(self) -> float:

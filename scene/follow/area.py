@@ -45,7 +45,9 @@ class AreaFrame:
         self._origin: Fix | None = None
         self._home: Fix | None = None  # the frame's origin
         self._newest_home: Fix | None = None
-        self._stand: tuple[float, float] | None = None  # where it was first heard to stand, (x, y) m
+        self._stand: tuple[float, float] | None = (
+            None  # where it was first heard to stand or take off, (x, y) m
+        )
 
     @property
     def zero(self) -> Ned | None:
@@ -61,9 +63,12 @@ class AreaFrame:
 
     @property
     def own_home(self) -> tuple[float, float]:
-        """Where the vehicle's own home is, (x, y) m; the frame's origin unless the search has another one."""
+        """Where the vehicle's own home is, (x, y) m; the frame's origin unless the search has another one.
+
+        NaN of a simulated one of several that was first heard in flight.
+        """
         if not (self._area and self._home):
-            return self._stand or (0.0, 0.0)
+            return self._stand or ((math.nan, math.nan) if self.is_shared else (0.0, 0.0))
         north, east, _ = home_from((*self._area, 0.0), self._home)
         return east, north
 
@@ -109,7 +114,8 @@ class AreaFrame:
         place = east, north, -down
         if not all(map(math.isfinite, place)):
             return None
-        if self.is_shared and self.on_ground and self._stand is None:
+        climbs = self._landed == mavlink.MAV_LANDED_STATE_TAKEOFF  # straight up
+        if self.is_shared and self._stand is None and (self.on_ground or climbs):
             self._stand = place[:2]
         return place
 

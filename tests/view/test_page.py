@@ -453,6 +453,22 @@ def test_on_a_phone_the_legend_lies_below_the_map_and_a_name_at_its_edge_is_whol
     window.keep("phone-legend", whole=True)
 
 
+def test_a_home_that_is_not_known_is_not_drawn_and_nothing_is_said_to_be_its_way(
+    stage: Stage, look: Callable[..., Window]
+) -> None:
+    nowhere = (math.nan, math.nan)
+    stage.enter(replace(scene(), craft=replace(scene().craft, home=nowhere)))
+    window = drawn(look(stage.address))
+    window.drawn()
+    corner = (-0.4, -0.4, 0.4, 0.4)
+    without = window.count("ink", corner)
+    assert window.text("[data-fact=home]") == "–"
+    stage.vehicles["uav/1"].show(craft=replace(scene().craft, home=(0.0, 0.0)))
+    window.until("document.querySelector('[data-fact=home]').textContent === '13 m'")
+    window.drawn()
+    assert window.count("ink", corner) > without + 10
+
+
 @pytest.mark.parametrize("size", [(1000, 700), (1200, 800), (1280, 800), (1280, 1024), (1920, 1080)])
 def test_the_legend_is_open_at_first_only_where_it_does_not_lie_on_the_area(
     stage: Stage, look: Callable[..., Window], size: tuple[int, int]

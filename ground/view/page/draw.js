@@ -213,6 +213,7 @@ export function waypoint(g, view, { waypoint: place, craft }) {
 
 export function home(g, view, { craft }) {
   const [east, north] = craft?.home ?? [0, 0], [x, y] = [view.x(east), view.y(north)];
+  if (!Number.isFinite(east)) return; // it was first heard in flight
   g.beginPath();
   for (const [dx, dy] of [[-7, 0], [0, -7], [7, 0]]) g.lineTo(x + dx, y + dy);
   g.moveTo(x - 5, y - 1);

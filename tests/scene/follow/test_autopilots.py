@@ -292,6 +292,22 @@ def test_a_simulated_one_of_several_is_as_far_from_home_as_from_where_it_took_of
     assert history.craft.home_m == pytest.approx(0.0 if away_m == 5.0 else math.hypot(26.0, 27.0))
 
 
+def test_where_a_simulated_one_of_several_took_off_is_not_known_if_it_was_first_heard_in_flight() -> None:
+    history = History(Backdrop("uav/2"), number=2)
+
+    def heard_at(*said: object) -> float:
+        history.take("uav/2/mavlink/out", Codec(2, 1).pack(*said), b"", 1.0, 1.0)
+        assert history.craft
+        return history.craft.home_m
+
+    in_air, up, down = landed(2), landed(3), landed(1)  # IN_AIR, TAKEOFF, ON_GROUND
+    assert math.isnan(heard_at(beat(6 << 16, PX4), home(0.0, 0.0), in_air, local(30.0, 24.0, -5.0)))
+    assert heard_at(down, local(26.0, 27.0, 0.0, 1100), in_air, local(30.0, 24.0, -5.0, 1200)) == 5.0
+    history = History(Backdrop("uav/2"), number=2)
+    climbs = beat(6 << 16, PX4), home(0.0, 0.0), up, local(26.0, 27.0, -3.0)
+    assert heard_at(*climbs, in_air, local(30.0, 24.0, -5.0, 1100)) == 5.0
+
+
 def test_a_vehicle_that_a_search_flies_is_a_real_one(heard: Heard) -> None:
     assert not heard(beat(6 << 16, PX4)).history.is_real
     assert heard(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), codec=heard.search).history.is_real
