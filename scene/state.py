@@ -43,7 +43,7 @@ def state_of(scene: Scene) -> Situation:
     """Return how the search is at this moment."""
     kind, level, text = _said(scene)
     notes = tuple(note for note in notes_of(scene) if note not in text)
-    ended = scene.ending is not None
+    ended = scene.ending is not None or scene.left or kind == "landed"
     moves = None if ended else moves_left(scene.measurements, scene.stop)
     if kind == "searching" and moves is not None:
         text += f"; about {_about(moves)} move{'s' if moves != 1 else ''} more"

@@ -127,6 +127,17 @@ def test_one_that_has_left_the_search_of_several_is_not_said_to_have_ended_it(
     assert (found, told) == (kind, text)
 
 
+@pytest.mark.parametrize(
+    "changes", [flown("landed", "HOLD"), {**flown("returning", "RTL"), "left": True}], ids=["landed", "left"]
+)
+def test_of_one_that_searches_no_more_nothing_is_said_of_moves_that_are_left(
+    changes: dict[str, object],
+) -> None:
+    state = state_of(replace(SCENE, **changes))  # type: ignore[arg-type]
+    assert state.moves_left is state.seconds_left is None
+    assert state_of(replace(SCENE, **flown("paused", "HOLD"))).moves_left == 9  # type: ignore[arg-type]
+
+
 def test_it_is_told_who_paused() -> None:
     page = Happening(9.0, "warning", "uav", "Search gives way: HOLD by 255/190 on the bus")
     assert said(**flown("paused", "HOLD"), happenings=[page])[2].startswith("Paused by the operator: ")
