@@ -106,7 +106,7 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
     with Bus(
         "estimator",
         args.connect,
-        args.namespace,
+        cli.namespace_of(args, args.vehicles > 1),
         log_level=args.log_level,
         announced=False,  # until its health says for how many vehicles it is
         secure=args.secure,

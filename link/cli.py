@@ -245,7 +245,11 @@ def add_bus_arguments(parser: argparse.ArgumentParser, namespace: str | None = "
 
 
 def add_vehicles_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the flag that says how many vehicles search together in the namespace."""
+    """Add the flag that says how many vehicles search together.
+
+    The usual namespace follows from it, see `namespace_of`.
+    """
+    parser.set_defaults(namespace=None)
     parser.add_argument(
         "--vehicles",
         type=whole(1, MOST_VEHICLES),
@@ -254,6 +258,11 @@ def add_vehicles_argument(parser: argparse.ArgumentParser) -> None:
         help="how many vehicles search together; the namespace is then their search's, search/1 (default: "
         "%(default)s)",
     )
+
+
+def namespace_of(args: argparse.Namespace, together: bool) -> str:
+    """Return the namespace that was given, else the first of searches by several, or of single vehicles."""
+    return args.namespace or ("search/1" if together else "uav/1")
 
 
 def numbers(vehicles: int) -> range:

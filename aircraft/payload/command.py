@@ -24,11 +24,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags, but for those of the simulated world."""
     add_payload_argument(parser)
     cli.add_bus_arguments(parser)
+    parser.set_defaults(namespace=None)
     parser.add_argument(
         "--number",
         type=cli.whole(1, cli.MOST_VEHICLES),
         metavar="K",
-        help="in the namespace of a search by several, the number of its vehicle",
+        help="of vehicles that search together, the number of its own; the namespace is then their search's, "
+        "search/1",
     )
 
 
@@ -39,12 +41,13 @@ def run(args: argparse.Namespace, world: World) -> int:
         raise cli.BadInput(f"{flag}: only with --payload {SIMULATED}; {args.payload} measures what there is")
     inbox = Inbox()
     vehicles = [args.number] * bool(args.number)
+    namespace = cli.namespace_of(args, bool(vehicles))
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(
             Bus(
                 "payload",
                 args.connect,
-                args.namespace,
+                namespace,
                 inbox,
                 args.log_level,
                 secure=args.secure,
@@ -52,7 +55,7 @@ def run(args: argparse.Namespace, world: World) -> int:
             )
         )
         own = "".join(f"/{OF_VEHICLE}{number}" for number in vehicles)
-        bus.log.info(f"on the bus at {args.connect} as {args.namespace}{own}")
+        bus.log.info(f"on the bus at {args.connect} as {namespace}{own}")
         bus.tally.about = args.payload
         measure: Measure = sensor_in(world.of_vehicle(args.number or 1), bus.log)
         if args.payload != SIMULATED:

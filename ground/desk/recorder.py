@@ -87,10 +87,11 @@ def run(args: argparse.Namespace) -> int:
     if reason := cli.existing("FILE.mcap", _files(args.file), args.force):
         raise cli.BadInput(reason)
     fleet = {"fleet": {"vehicles": args.vehicles}} if args.vehicles > 1 else {}
+    namespace = cli.namespace_of(args, args.vehicles > 1)
     with Tap(
         "recorder",
         args.connect,
-        args.namespace,
+        namespace,
         args.log_level,
         secure=args.secure,
         vehicles=cli.numbers(args.vehicles),
@@ -98,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
         ends: list[int] = []
         on_end(ends.append)  # no KeyboardInterrupt, which could strike within a message or leave half a file
         try:
-            about = {**fleet, **args.about, **surroundings(args.namespace)}
+            about = {**fleet, **args.about, **surroundings(namespace)}
             writer = begin(args.file, args.force, about)
         except OSError as error:
             culprit = "" if error.filename in (None, str(args.file)) else f": {error.filename}"
@@ -114,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"recording to {args.file}", flush=True)
         _give_way()
         try:
-            record(bus, writer, ends, RecordedScene(args.about, args.namespace, numbers), told)
+            record(bus, writer, ends, RecordedScene(args.about, namespace, numbers), told)
         except OSError as error:
             words = f"record stopped: {error.strerror} ({args.file})"
             bus.log.warning(words)

@@ -41,6 +41,23 @@ def test_a_record_of_several_says_how_many_they_are(
     assert read(tmp_path / "two.mcap").about["fleet"] == {"vehicles": 2}
 
 
+def test_parts_for_several_are_in_the_search_unless_another_namespace_is_given(
+    start, router: str, tmp_path: Path, wait_until: Callable
+) -> None:
+    of_several = "--vehicles", "2", "--connect", router
+    estimator = start("estimator", *of_several)
+    payload = start("sitl", "payload", "--number", "2", "--connect", router)
+    recorder = start("sitl", "record", str(tmp_path / "two.mcap"), *of_several)
+    estimator.comes_to('mission=search/1 step=-1 event="ready: ')
+    payload.comes_to("as search/1/uav/2")
+    wait_until(lambda: recorder.out)
+    recorder.process.send_signal(signal.SIGINT)
+    recorder.ended()
+    assert read(tmp_path / "two.mcap").about["namespace"] == "search/1"
+    alone = start("estimator", "--vehicles", "2", "--namespace", "uav/1", "--connect", router)
+    alone.comes_to('mission=uav/1 step=-1 event="ready: ')
+
+
 def test_a_vehicle_that_comes_later_and_is_not_recorded_is_named_once(
     start, router: str, tmp_path: Path, wait_until: Callable
 ) -> None:

@@ -503,7 +503,7 @@ class TestOnAnotherBus:
         monkeypatch: pytest.MonkeyPatch,
         capsys: pytest.CaptureFixture[str],
     ) -> None:
-        start("estimator", "--connect", router, "--vehicles", "2")
+        start("estimator", "--connect", router, "--namespace", "uav/1", "--vehicles", "2")
         status, _, err = run_sitl(monkeypatch, capsys, "replay", str(log), "--connect", router)
         assert (status, err[-1]) == (
             1,
