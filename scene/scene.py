@@ -122,10 +122,8 @@ class Craft:
     fix: tuple[float, float, float] | None = None  # latitude, longitude, degrees, and altitude above sea, m
     condition: Condition = Condition()
     speed_mps: float = math.nan  # over ground; NaN if unknown
-    home: Point = (
-        0.0,
-        0.0,
-    )  # its own: of one that searches with others not the frame's origin; NaN if unknown
+    # Its own: of one that searches with others not the frame's origin; NaN if unknown.
+    home: Point = (0.0, 0.0)
 
     @property
     def home_m(self) -> float:

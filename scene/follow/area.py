@@ -45,9 +45,8 @@ class AreaFrame:
         self._origin: Fix | None = None
         self._home: Fix | None = None  # the frame's origin
         self._newest_home: Fix | None = None
-        self._stand: tuple[float, float] | None = (
-            None  # where it was first heard to stand or take off, (x, y) m
-        )
+        # Where it was first heard to stand or take off, (x, y) m.
+        self._stand: tuple[float, float] | None = None
 
     @property
     def zero(self) -> Ned | None:
