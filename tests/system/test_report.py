@@ -35,7 +35,7 @@ def test_it_makes_a_page_of_what_evaluate_wrote(start, tmp_path: Path) -> None:
     assert again.err == ["error: --out: 'report/particles.png' exists; wanted another name, or --force\n"]
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(400)
 def test_bad_input_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

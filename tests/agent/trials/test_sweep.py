@@ -330,7 +330,7 @@ def test_where_missions_cannot_be_kept_none_is_flown(
     assert capsys.readouterr() == ("", line)
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(400)
 def test_a_pipe_is_not_read_for_rows_to_keep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe")
