@@ -36,7 +36,7 @@ GAINS = CELLS + HEADINGS * len(AHEAD)
 SIZE = GAINS + 2 * HEADINGS + NUMBERS
 # Numbers computed from FACTS are clipped to ±BOUND; only worlds unlike any in training exceed it.
 BOUND = 10.0
-# As of `Reach.fitted`: parts of the area's side.
+# Parts of the area's side, as of `Shared.fitted`. The first is also the unit of length.
 FINE, FINEST = 1 / 30, 1 / 300
 SENSOR_NOISE, FLOOR = GAUSSIAN.sensor_noise, GAUSSIAN.environment_noise
 TANGENTS = np.divide(*reversed(direction(np.array([1, 3, 5, 7]) / 32)))

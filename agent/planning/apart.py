@@ -1,6 +1,7 @@
 """Vehicles that keep apart: the moves that are free for one of a fleet, and where the others go."""
 
 from dataclasses import dataclass, field, fields
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ class Shared(Reach):
     separation_m: float = SEPARATION_M
     hovering: Array = field(default_factory=lambda: np.empty((0, 2)), compare=False)  # (H, 2) m, near these
     clear_m: float = 0.0  # least distance of ways from those, unless they begin nearer and lead away
+    # A fleet saves rounds, not metres: with shorter moves it would need more of them (docs/fleet.md).
+    FINE: ClassVar[float] = 1 / 30
 
     @classmethod
     def of(

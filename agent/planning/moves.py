@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import msgspec
 import numpy as np
@@ -16,8 +16,7 @@ from plume.scenario import STEP_M
 # A way that is not free is turned by these parts of a full turn, one after the other.
 TURNS = tuple(sign * k / 16 for k in range(1, 8) for sign in (1, -1))
 PARTS = (1.0, 0.5, 0.25, 0.125)  # of a way that meets an obstacle: the longest that is free is flown
-# The step of Table 1 as a part of its area's side, short enough for any search, and the shortest move.
-FINE, FINEST = 1 / 30, 1 / 300
+FINEST = 1 / 300  # the shortest move, as a part of the area's side
 
 
 @dataclass(frozen=True)
@@ -31,6 +30,8 @@ class Reach:
     # Whether moves may be shorter than a step, and a search that repeats itself turns away: `fitted`.
     fits: bool = False
     avoided: tuple[float, float] | None = None  # (x, y) m: no move goes there while there is another
+    # Part of the area's side that a move is at most where the belief is narrow: half of Table 1's step.
+    FINE: ClassVar[float] = 1 / 60
 
     def fitted(self, belief: Belief) -> "Reach":
         """Return it with moves that are not long against the belief, and not back, if it `fits` its moves.
@@ -43,7 +44,7 @@ class Reach:
         """
         if not self.fits:
             return self
-        shortest, fine = self.area.side_m * FINEST, self.area.side_m * FINE
+        shortest, fine = self.area.side_m * FINEST, self.area.side_m * self.FINE
         longest = max(belief.spread / 4, min(max(4 * belief.spread, shortest), fine))
         step = longest if belief.spread > 0 and longest < self.step else self.step
         avoided = None if isinstance(belief.back, msgspec.UnsetType) else belief.back

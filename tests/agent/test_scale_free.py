@@ -12,7 +12,7 @@ import pytest
 
 from agent.facts import site_in
 from agent.observation import SCHEMAS
-from agent.planning.moves import Reach
+from agent.planning.apart import Shared
 from agent.trials.rollout import mission
 from link.bus.messages import Belief, Particles
 from plume.elementary import Array
@@ -195,11 +195,11 @@ def test_each_number_is_what_plain_numpy_says(seed: int, unknowns: tuple[str, ..
 
 @pytest.mark.parametrize("spread_m", [0.05, 0.2, 0.5, 2.0, 10.0])
 @pytest.mark.parametrize("step_m", [0.1, 1.0, 10.0])
-def test_a_move_is_as_long_as_a_planners_that_fits_its_moves(spread_m: float, step_m: float) -> None:
+def test_a_move_is_as_long_as_a_fleets_planner_makes_it(spread_m: float, step_m: float) -> None:
     belief, particles = searched(0)
     narrow = msgspec.structs.replace(belief, spread=spread_m, covariance=(spread_m**2, 0.0, 0.0))
     _, frame = POLAR.look(narrow, particles, site_in(WIDE, step_m))
-    fitted = Reach(step=step_m, area=WIDE, fits=True).fitted(narrow)
+    fitted = Shared(step=step_m, area=WIDE, fits=True).fitted(narrow)
     assert math.hypot(frame[0], frame[1]) == pytest.approx(fitted.step)
 
 

@@ -23,7 +23,7 @@ from link.record.record import Entry
 from link.record.writer import Writer
 
 SEED = 5
-"""Its search takes 25 steps."""
+"""Its search takes 26 readings."""
 GAVE_UP = (
     "error: the uav landed before the search was over; its last words: uav: warning: No setpoint for "
     "600 s: returning home\n"
@@ -99,7 +99,7 @@ def evidence(tmp_path: Path, change: Change | None = None, more: tuple = (), **f
 
 def test_an_undisturbed_mission_passes(tmp_path: Path) -> None:
     verdict = judge(evidence(tmp_path))
-    assert (verdict.outcome, verdict.reasons, verdict.steps) == (AS_UNDISTURBED, (), 24)
+    assert (verdict.outcome, verdict.reasons, verdict.steps) == (AS_UNDISTURBED, (), 25)
 
 
 def test_repeated_messages_are_no_breach(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ WRONG_WAY = Codec(1, ONBOARD_COMPUTER).pack(waypoint_message(1, 4000, (1.0, 1.0)
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (without(READING.name, -1), "the record has 24 of 25 readings"),
+        (without(READING.name, -1), "the record has 25 of 26 readings"),
         (without(READING.name, 4), "reading 4 is not that of the undisturbed mission"),
         (
             lambda said: said.append((READING.name, ELSEWHERE, b"")),

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from agent.planning.apart import Shared
 from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
 from plume.problem import AREA, square
 from tests.agent.planners.test_planners import belief_at
@@ -143,11 +144,13 @@ def test_what_actions_mean_is_told_in_json(move: Move) -> None:
     ("area_m", "step_m", "spread_m", "flown_m"),
     [
         (30, 10, 8, 2.0),  # a quarter of the spread
-        (30, 10, 1, 1.0),  # a thirtieth of the side
-        (30, 10, 0.2, 0.8),  # four spreads
+        (30, 10, 1, 0.5),  # a sixtieth of the side
+        (30, 10, 0.1, 0.4),  # four spreads
         (30, 10, 60, 10.0),  # a step
         (30, 1, 8, 1.0),
-        (30, 1, 0.25, 1.0),
+        (30, 1, 0.25, 0.5),
+        (30, 1, 3, 0.75),
+        (30, 0.25, 1, 0.25),
         (30, 1, 1e-9, 0.1),  # a three-hundredth of the side
         (30, 1, 0.0, 1.0),  # the place is known
         (300, 10, 80, 10.0),
@@ -163,6 +166,12 @@ def test_moves_are_short_where_the_belief_is_narrow(
     assert replace(reach, fits=True).fitted(belief) == replace(
         reach, fits=True, step=pytest.approx(flown_m, rel=1e-12)
     )
+
+
+def test_a_fleet_makes_moves_twice_as_long_where_the_belief_is_narrow() -> None:
+    belief = msgspec.structs.replace(belief_at((5.0, 6.0)), spread=1.0)
+    assert Reach(step=10.0, fits=True).fitted(belief).step == pytest.approx(0.5, rel=1e-12)
+    assert Shared(step=10.0, fits=True).fitted(belief).step == pytest.approx(1.0, rel=1e-12)
 
 
 def test_a_search_that_repeats_itself_goes_elsewhere() -> None:
