@@ -136,16 +136,17 @@ def _alone(seed: int, cell: Cell) -> Flown:
     config = Config(
         seed=of_estimator, rate=scenario.q, diffusivity=scenario.d, lifetime=scenario.tau, assume="field"
     )
-    posterior = prior(config)
+    posterior, distance_m = prior(config), 0.0
     for step in range(BUDGET_STEPS + 1):
         reading = Reading(step, place, ALTITUDE_M, world.wind, world.gas(place, step))
         posterior = assimilate(posterior, reading, config)
         said, particles = belief(posterior, reading, config)
         if said.ceased or step == BUDGET_STEPS:
             break
-        place = choose(cell.policy, said, particles, of_agent, within)
+        last, place = place, choose(cell.policy, said, particles, of_agent, within)
+        distance_m += math.dist(last, place)
     ended = verdict(said.ceased, said.mean, scenario.source, said.outside)
-    return Flown(*cell, seed, said.ceased, ended == "FALSE STOP", step, float(step))
+    return Flown(*cell, seed, said.ceased, ended == "FALSE STOP", step, distance_m)
 
 
 def first_of(own: Sequence[dict[int, Flown]]) -> dict[int, Flown]:
@@ -153,7 +154,7 @@ def first_of(own: Sequence[dict[int, Flown]]) -> dict[int, Flown]:
     result: dict[int, Flown] = {}
     for seed in set.intersection(*map(set, own)):
         first = min((of_one[seed] for of_one in own), key=lambda row: (not row.ceased, row.moves))
-        result[seed] = msgspec.structs.replace(first, distance_m=float(len(own) * first.moves))
+        result[seed] = msgspec.structs.replace(first, distance_m=len(own) * first.distance_m)
     return result
 
 

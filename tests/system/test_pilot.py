@@ -74,7 +74,7 @@ def test_a_pilot_holds_during_take_off_and_later_gives_the_search_back(
         assert pilot.until("HEARTBEAT", lambda _: True).custom_mode == Mode.HOLD.custom_mode  # type: ignore[attr-defined]
     assert not mission.says("step   0")
     assert pilot.change(Mode.OFFBOARD) == 0
-    pilot.until("STATUSTEXT", lambda said: said.text.startswith("Source found at (17.25, 21.81)"))  # type: ignore[attr-defined]
+    pilot.until("STATUSTEXT", lambda said: said.text.startswith("Source found at (17.30, 21.77)"))  # type: ignore[attr-defined]
     pilot.until("HEARTBEAT", lambda beat: not beat.base_mode & 128)  # type: ignore[attr-defined]
     assert mission.ended() == 0
 

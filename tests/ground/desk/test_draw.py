@@ -68,7 +68,7 @@ def test_an_animation_has_a_frame_for_each_reading_and_needs_no_picture(log: Pat
     assert drawn(str(log), "--gif", str(log.with_name("a.gif"))) == 0
     assert {path.name for path in log.parent.iterdir()} == {"log.mcap", "a.gif"}
     with Image.open(log.with_name("a.gif")) as gif:
-        assert (gif.n_frames, gif.size) == (30, (960, 540))
+        assert (gif.n_frames, gif.size) == (35, (960, 540))
 
 
 def test_an_interrupt_leaves_what_was_there_and_nothing_half_written(
@@ -89,7 +89,7 @@ def test_an_interrupt_leaves_what_was_there_and_nothing_half_written(
 @pytest.mark.parametrize(
     ("words", "error"),
     [
-        (["--at", "40"], "error: --at: 40 is not allowed; wanted steps of the log, 0 to 29\n"),
+        (["--at", "40"], "error: --at: 40 is not allowed; wanted steps of the log, 0 to 34\n"),
         (["--at", "1,2,3,4,5,6"], "error: --at: 6 steps are not allowed; wanted at most 5\n"),
         (
             ["--gif", "/proc/a.gif"],

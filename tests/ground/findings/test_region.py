@@ -114,7 +114,8 @@ def test_findings_say_how_much_wider_their_region_is() -> None:
     assert it.contour
     [ring] = it.contour.rings
     assert abs(twice_area(ring)) / 2 == pytest.approx(
-        math.pi * it.ellipse.longer_m * it.ellipse.shorter_m, rel=0.3
+        math.pi * it.ellipse.longer_m * it.ellipse.shorter_m,
+        rel=0.5,  # of 100 particles, which are no normal distribution
     )
     assert f"{scale:.2f} times as wide as the belief's own" in html.unescape(page(it))
 
