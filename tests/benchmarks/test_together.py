@@ -13,7 +13,8 @@ ROOT = Path(__file__).parents[2]
 def row(
     vehicles: int, how: str, seed: int, moves: int, ceased: bool = True, false_stop: bool = False
 ) -> Flown:
-    return Flown("homing", "corners", vehicles, how, seed, ceased, false_stop, moves, float(moves * vehicles))
+    flying = vehicles if how == "together" else 1
+    return Flown("homing", "corners", vehicles, how, seed, ceased, false_stop, moves, float(moves * flying))
 
 
 @pytest.mark.parametrize("rows", [ROWS, OF_WIDE], ids=str)
