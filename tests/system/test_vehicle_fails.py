@@ -12,7 +12,7 @@ from tests.autopilots.settings import Settings
 from tests.autopilots.wire import Double
 from tests.system.conftest import Part
 
-SPEEDUP = 10.0
+SPEEDUP = 2.0
 WORDS = ("--speedup", f"{SPEEDUP:g}", "--seed", "7", "--particles", "100", "--no-record")
 
 

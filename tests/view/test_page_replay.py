@@ -247,11 +247,9 @@ def test_two_records_are_compared_on_one_time_line(two: str, look: Callable[...,
     now(window)
     now(window, INFOTAXIS)
     charts = [f"[...plumeward.panes.get('{name}').charts.spread.data" for name in (HOMING, INFOTAXIS)]
-    ours, theirs = window.of(f"{charts[0]}[1]]"), window.of(f"{charts[0]}[3]]")
-    assert [spread for spread in ours if spread is not None] == pytest.approx(
-        [belief.spread for _, belief in homing]
-    )
-    assert theirs == pytest.approx([belief.spread for _, belief in infotaxis])  # the other's beside ours
+    for column, said in ((1, homing), (3, infotaxis)):  # the other's beside ours, null at the other's times
+        spreads = [spread for spread in window.of(f"{charts[0]}[{column}]]") if spread is not None]
+        assert spreads == pytest.approx([belief.spread for _, belief in said])
     wanted_s = (homing[12][0] + homing[13][0]) / 2
     window.page.locator("#at").fill(str(wanted_s))
     for name, said in ((HOMING, homing), (INFOTAXIS, infotaxis)):
