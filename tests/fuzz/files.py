@@ -42,8 +42,10 @@ from tests.ground.logs.flights import gasflux as write_gasflux
 from tests.ground.logs.flights import skyhub as write_skyhub
 from tests.ground.tlog.onboard_logs import Dataflash, ULog, flown, flown_by_px4
 
-FOLDER = Path(tempfile.mkdtemp(prefix="fuzz-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
-"""In memory where the system has that: each input is written to a file."""
+SHARED_MEMORY = Path("/dev/shm")
+KEPT = tempfile.TemporaryDirectory(prefix="fuzz-", dir=SHARED_MEMORY if SHARED_MEMORY.is_dir() else None)
+"""In memory where the system has that: each input is written to a file. It goes with the process."""
+FOLDER = Path(KEPT.name)
 LONGEST = 2000
 """Characters of a refusal."""
 
