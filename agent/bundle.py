@@ -118,8 +118,9 @@ class Bundle:
         site = site_in(reach.area, reach.step) if self._site is None else self._site
         observation, frame = self._schema.look(belief, particles, site)
         move = self.page.move
-        action = move.action(self.said(observation))
-        x, y = move.waypoints(np.array([belief.position]), frame[None], action, reach.area)[0].tolist()
+        action, longest = move.action(self.said(observation)), reach.longest_m(belief.spread)
+        places = move.waypoints(np.array([belief.position]), frame[None], action, reach.area, longest)
+        x, y = places[0].tolist()
         return x, y
 
 

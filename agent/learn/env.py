@@ -16,13 +16,13 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from agent.learn.missions import Missions
 from agent.learn.problems import SETS, Draw
 from agent.learn.render import RENDERING, Onlooker, Pixels
 from agent.observation import SCHEMAS, Observation
-from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
+from agent.planning.moves import HeadingAndStep, Headings, Move, Reach, longest_m, steps_of, units_m
 from agent.scale_free import BOUND
 from estimator.assumptions import ASSUMPTIONS
 from estimator.criterion import Criterion, chosen
@@ -65,10 +65,12 @@ class Settings:
     assume: str = "paper"  # the shipped policies learned with it
     stop: str | None = None  # None, with a `threshold_m` of None: the problem's
     problem: str | os.PathLike[str] | Problem | Mapping[str, Any] = "paper"
+    fits: bool = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.continuous, bool | np.bool_):
-            raise ValueError(f"continuous {self.continuous!r} is not allowed; wanted True or False")
+        for name in ("continuous", "fits"):
+            if not isinstance(value := getattr(self, name), bool | np.bool_):
+                raise ValueError(f"{name} {value!r} is not allowed; wanted True or False")
         for name, allowed in (
             ("observation", SCHEMAS),
             ("reward", REWARDS),
@@ -142,7 +144,9 @@ class Settings:
     def move(self) -> Move:
         """The meaning of actions. An observation for any problem has a move as the unit of its frame."""
         step_m = 1.0 if SCHEMAS[self.observation].anywhere else float(self.searched.step_m)
-        return HeadingAndStep(step_m) if self.continuous else Headings(self.headings, step_m)
+        if self.continuous:
+            return HeadingAndStep(step_m, self.fits)
+        return Headings(self.headings, step_m, self.fits)
 
     def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
         """Observation space and action space."""
@@ -209,26 +213,29 @@ class Settings:
 
         Returns rewards, terminated and truncated, (B,) each.
         """
-        waypoints = self.move.waypoints(missions.positions, missions.frames, actions, missions.grounds)
+        longest = longest_m(missions.spreads_m, missions.grounds.sides_m)
+        waypoints = self.move.waypoints(
+            missions.positions, missions.frames, actions, missions.grounds, longest
+        )
         for mission, ground in missions.grounds.fenced.items():
             (x, y), (east, north) = missions.positions[mission].tolist(), waypoints[mission].tolist()
             waypoints[mission] = Reach(area=ground).freed((x, y), (east, north))
-        steps = self.pay(missions.frames, missions.problems)
+        steps = self.pay(missions.frames, missions.problems, longest)
         missions.move(waypoints)
         terminated: Flags = missions.ceased.copy()
         truncated: Flags = ~terminated & (missions.steps >= missions.budgets)
         return np.where(terminated, steps + REWARDS[self.reward][1], steps), terminated, truncated
 
-    def pay(self, frames: Array, problems: Sequence[Problem]) -> Array:
+    def pay(self, frames: Array, problems: Sequence[Problem], longest: ArrayLike) -> Array:
         """Return the reward of a move in each of these frames (B, 3), without that of a stop: (B,).
 
-        A move counts as a whole step, in the frame's unit, whether or not it is shorter or an edge cuts it
-        off.
+        A move counts as a whole step, in the frame's unit and no longer than `longest`, m, if moves fit,
+        whether or not its action is shorter or an edge cuts it off.
         """
         step, _ = REWARDS[self.reward]
         if self.reward != "way":
             return np.full(len(frames), step)
-        lengths_m = self.move.step_m * np.sqrt(np.square(frames[:, :2]).sum(axis=1))
+        lengths_m = steps_of(self.move, frames, longest) * units_m(frames)
         sides_m = np.array([problem.area.side_m for problem in problems])
         return np.asarray(step * (lengths_m / (WAY * sides_m)))
 
@@ -349,6 +356,7 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
     | `world` | None | how gas moves and the truth differs: a name, as `--world` takes it |
     | `assume` | `"paper"` | or `"field"`: what the estimator takes to be known |
     | `stop` | None | instead of `threshold_m`: `"within:1,0.99"`; without both the problem's |
+    | `fits` | False | where the belief is narrow, moves are as short as those of `homing` |
 
     Examples:
         >>> import gymnasium, plumeward

@@ -28,12 +28,14 @@ class Grounds:
 
     def __init__(self, count: int) -> None:
         self._lows, self._highs = np.empty((count, 2)), np.empty((count, 2))
+        self.sides_m = np.empty(count)
         self.fenced: dict[int, Area] = {}  # missions that have something in the way, and their areas
 
     def put(self, mission: int, ground: Area) -> None:
         """Set a mission's area."""
         wire = ground.on_the_wire()
         self._lows[mission], self._highs[mission] = wire.low, wire.high
+        self.sides_m[mission] = ground.side_m
         self.fenced.pop(mission, None)
         if ground.obstacles:
             self.fenced[mission] = ground

@@ -124,17 +124,18 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
             raise ActionError(f"actions of {given} are not allowed; {wanted}")
         checked = [self.settings.actions(actions[agent])[None] for agent in self.agents]
         places, area = self._rounds.places, self.searching.searched.ground
+        longest = Shared(area=area).longest_m(self._round.belief.spread)
 
         def waypoint(vehicle: int, _reach: Shared) -> Place:
             here, frame = np.array([places[vehicle]]), self._frames[vehicle][None]
-            x, y = self.searching.move.waypoints(here, frame, checked[vehicle], area)[0].tolist()
+            x, y = self.searching.move.waypoints(here, frame, checked[vehicle], area, longest)[0].tolist()
             return x, y
 
         chosen = in_turn(Reach(area=area), places, self.fleet.separation_m, waypoint)
         for vehicle, (start, end) in enumerate(zip(places, chosen, strict=True)):
             self._distances_m[vehicle] += math.dist(start, end)
         problem = self.searching.searched
-        paid = self.searching.pay(np.array(self._frames), [problem] * len(places)).tolist()
+        paid = self.searching.pay(np.array(self._frames), [problem] * len(places), longest).tolist()
         self._look(self._rounds.fly(chosen))
         ceased = self._round.belief.ceased
         spent = not ceased and self._rounds.number > problem.budget

@@ -1,5 +1,6 @@
 """The moves that a planner may choose from, and the meaning of a learned policy's actions."""
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import ClassVar, Protocol
@@ -34,21 +35,19 @@ class Reach:
     FINE: ClassVar[float] = 1 / 60
 
     def fitted(self, belief: Belief) -> "Reach":
-        """Return it with moves that are not long against the belief, and not back, if it `fits` its moves.
+        """Return it with moves of at most `longest_m`, and not back, if it `fits` its moves.
 
-        A move is at most a quarter of the spread: a longer one passes readings that would tell it where to
-        turn. Where the spread is small, it is at most a FINE part of the area's side instead, and 4 spreads,
-        or it hops to and fro across the source. It is never below the FINEST part, or it would stay where it
-        is. If the place is known, moves are as long as they were. A search that repeats itself
-        (`Belief.back`) goes elsewhere.
+        A search that repeats itself (`Belief.back`) goes elsewhere.
         """
         if not self.fits:
             return self
-        shortest, fine = self.area.side_m * FINEST, self.area.side_m * self.FINE
-        longest = max(belief.spread / 4, min(max(4 * belief.spread, shortest), fine))
-        step = longest if belief.spread > 0 and longest < self.step else self.step
+        step = min(self.step, self.longest_m(belief.spread))
         avoided = None if isinstance(belief.back, msgspec.UnsetType) else belief.back
         return replace(self, step=step, avoided=avoided) if (step, avoided) != (self.step, None) else self
+
+    def longest_m(self, spread_m: float) -> float:
+        """Return how long a move may be at this spread: see `longest_m`."""
+        return float(longest_m(spread_m, self.area.side_m, self.FINE))
 
     @cached_property
     def wire(self) -> Area:
@@ -129,6 +128,20 @@ class Reach:
         return _directions(self.headings)
 
 
+def longest_m(spreads_m: ArrayLike, sides_m: ArrayLike, fine: float = Reach.FINE) -> Array:
+    """Return how long moves (…) may be where they have to fit beliefs, in areas of these sides.
+
+    A move is at most a quarter of the spread: a longer one passes readings that would tell it where to turn.
+    Where the spread is small, it is at most a `fine` part of the area's side instead, and 4 spreads, or it
+    hops to and fro across the source. It is never below the FINEST part, or it would stay where it is. If the
+    place is known, moves may be of any length.
+    """
+    spreads, sides = np.asarray(spreads_m), np.asarray(sides_m)
+    shorter = np.minimum(np.maximum(4 * spreads, FINEST * sides), fine * sides)
+    longest = np.maximum(spreads / 4, shorter)
+    return np.asarray(np.where(spreads > 0, longest, np.inf))
+
+
 @lru_cache(8)
 def _directions(headings: int) -> Array:
     """Return the unit vectors of so many headings; nobody may write to them."""
@@ -162,6 +175,7 @@ class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", fo
 
     count: int
     step_m: float = STEP_M
+    fits: bool = False  # whether moves are shorter where the belief is narrow, as a planner's (`Reach`)
 
     @property
     def outputs(self) -> int:
@@ -172,9 +186,14 @@ class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", fo
         """Return the action with the highest score (B,), given the network's output `said` (B, count)."""
         return np.asarray(said.argmax(axis=1))
 
-    def waypoints(self, positions: Array, frames: Array, actions: Array, area: Clips) -> Array:
-        """Return the waypoints (B, 2) m of actions (B,) from positions (B, 2) m. frames: (B, 3)."""
-        return _moved(positions, frames, actions / self.count, np.full(len(actions), self.step_m), area)
+    def waypoints(
+        self, positions: Array, frames: Array, actions: Array, area: Clips, longest: ArrayLike = math.inf
+    ) -> Array:
+        """Return the waypoints (B, 2) m of actions (B,) from positions (B, 2) m.
+
+        frames: (B, 3).  longest: how long a move that fits may be, m, of each: `longest_m`.
+        """
+        return _moved(positions, frames, actions / self.count, steps_of(self, frames, longest), area)
 
 
 class HeadingAndStep(
@@ -186,6 +205,7 @@ class HeadingAndStep(
     """
 
     step_m: float = STEP_M
+    fits: bool = False  # as of `Headings`
 
     @property
     def outputs(self) -> int:
@@ -196,16 +216,30 @@ class HeadingAndStep(
         """Return the network's output `said` (B, 2): it is the action."""
         return said
 
-    def waypoints(self, positions: Array, frames: Array, actions: Array, area: Clips) -> Array:
+    def waypoints(
+        self, positions: Array, frames: Array, actions: Array, area: Clips, longest: ArrayLike = math.inf
+    ) -> Array:
         """Return the waypoints (B, 2) m of actions (B, 2), clipped to [−1, 1], from positions (B, 2) m.
 
-        frames: (B, 3).
+        frames: (B, 3).  longest: as of `Headings`.
         """
         heading, share = np.clip(np.asarray(actions, np.float64).T, -1.0, 1.0)
-        return _moved(positions, frames, heading / 2, self.step_m * (share + 1) / 2, area)
+        steps = steps_of(self, frames, longest) * (share + 1) / 2
+        return _moved(positions, frames, heading / 2, steps, area)
 
 
 Move = Headings | HeadingAndStep
+
+
+def steps_of(move: Move, frames: Array, longest: ArrayLike) -> Array:
+    """Return the lengths (B,) of whole steps in the units of frames (B, 3).  longest: m, as of `Headings`."""
+    steps = np.full(len(frames), move.step_m)
+    return np.minimum(steps, np.divide(longest, units_m(frames))) if move.fits else steps
+
+
+def units_m(frames: Array) -> Array:
+    """Return how long the units of frames (B, 3) are, m: (B,)."""
+    return np.asarray(np.sqrt(np.square(frames[:, :2]).sum(axis=1)))
 
 
 def _moved(positions: Array, frames: Array, turns: Array, lengths: Array, area: Clips) -> Array:

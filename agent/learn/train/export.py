@@ -22,7 +22,7 @@ KINDS: dict[type[nn.Module], str] = {nn.ReLU: "Relu", nn.Tanh: "Tanh"}
 
 def export(model: BaseAlgorithm, recipe: Recipe, seed: int, curve: list[CurvePoint], path: Path) -> None:
     """Write the policy of a learner to a bundle, with its recipe and training curve."""
-    settings = Settings(**recipe.env)
+    settings = Settings(**recipe.env | recipe.flown)
     schema = SCHEMAS[settings.observation]
     page = Page(
         format=FORMAT,

@@ -147,6 +147,23 @@ def test_a_short_move_costs_less_by_its_way() -> None:
         assert env.step(8)[1] == pytest.approx(-0.0025)
 
 
+def test_moves_that_fit_are_as_short_as_the_belief_is_narrow_and_cost_by_their_way() -> None:
+    env = make(particles=500, threshold_m=0.05, budget=80, fits=True, reward="way")
+    _, told = env.reset(seed=1)
+    ratios = set()
+    for _ in range(80):  # to the estimate, which is not at an edge
+        before, spread_m = told["distance_m"], told["spread_m"]
+        _, paid, ended, _, told = env.step(0)
+        if ended:
+            break
+        # Table 1's area has a side of 30 m, so half a metre is a sixtieth of it.
+        expected_m = min(1.0, max(spread_m / 4, min(max(4 * spread_m, 0.1), 0.5)))
+        assert told["distance_m"] - before == pytest.approx(expected_m, abs=1e-5)
+        assert paid == pytest.approx(-0.01 * expected_m)
+        ratios.add(round(expected_m, 3))
+    assert {0.5, 1.0} < ratios
+
+
 @pytest.mark.parametrize("observation", SCHEMAS)
 @pytest.mark.parametrize("scale", [0.5, 1, 4])
 def test_a_step_costs_the_same_share_of_an_area_of_any_size(observation: str, scale: float) -> None:
@@ -184,13 +201,17 @@ def test_what_a_set_of_problems_does_not_allow_is_said(settings: dict[str, Any],
 
 
 @pytest.mark.parametrize("seed", [3, 4])
-def test_a_policy_flies_a_drawn_problem_as_it_does_on_a_vehicle(tmp_path: Path, seed: int) -> None:
-    a_bundle(tmp_path / "a.zip", "polar-2", Headings(16), seed=seed)
+@pytest.mark.parametrize("fits", [False, True])
+def test_a_policy_flies_a_drawn_problem_as_it_does_on_a_vehicle(
+    tmp_path: Path, seed: int, fits: bool
+) -> None:
+    a_bundle(tmp_path / "a.zip", "polar-2", Headings(16, fits=fits), seed=seed)
     problem, bundle = anywhere(seed), load(tmp_path / "a.zip")
     _, trace = rollout(
         seed, str(tmp_path / "a.zip"), particles=60, budget=15, assume="field", problem=problem
     )
-    env = make(observation="polar-2", problem="anywhere", particles=60, assume="field", threshold_m=0.5)
+    settings = {"observation": "polar-2", "problem": "anywhere", "assume": "field", "fits": fits}
+    env = make(particles=60, threshold_m=0.5, **settings)
     seen, told = env.reset(seed=seed)
     places = [tuple(told["position"].tolist())]
     for _ in range(15):
@@ -697,6 +718,7 @@ def test_a_step_wants_a_reset_first() -> None:
 @pytest.mark.parametrize("example", re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL))
 def test_the_documents_examples_run(example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # one of them saves a picture
+    monkeypatch.setenv("SB3_LOGDIR", str(tmp_path))  # another one's learner would leave a folder behind
     exec(compile(example, str(DOCUMENT), "exec"), {})
 
 

@@ -118,7 +118,8 @@ def test_a_fleet_that_is_none_is_refused_in_a_line(settings: dict[str, Any], sai
 def test_a_learned_policy_flies_in_it_as_in_a_rollout() -> None:
     said = {"vehicles": 2, "formation": "corners"}
     _, trace = rollout(4, "ppo", 50, budget=5, assume="paper", **said)
-    env, policy = SourceSearchParallel(particles=50, budget=5, **said), load(SHIPPED["ppo"])
+    policy = load(SHIPPED["ppo"])
+    env = SourceSearchParallel(particles=50, budget=5, fits=policy.page.move.fits, **said)
     seen, told = env.reset(seed=4)
     places = [tuple(told[agent]["position"]) for agent in env.agents]
     while env.agents:

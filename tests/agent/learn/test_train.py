@@ -68,6 +68,7 @@ def tiny(algorithm: str, steps: int = STEPS, **env: Any) -> Recipe:
             "continuous": algorithm == "ddpg",
             **env,
         },
+        flown={"fits": True} if algorithm == "dqn" else {},
         settings=SETTINGS[algorithm],
         checkpoint_steps=CHECKPOINT,
         action_noise=0.1,
@@ -231,7 +232,8 @@ def test_the_bundle_says_what_the_learner_says(whole: Callable[[str], Trained], 
     bundle = load(trained.folder / "policy.zip")
     assert (bundle.page.algorithm, bundle.page.seed, bundle.page.curve) == (algorithm, 0, trained.curve)
     assert msgspec.convert(bundle.page.training, Recipe) == tiny(algorithm)
-    assert bundle.page.move == (HeadingAndStep() if algorithm == "ddpg" else Headings(8))
+    moves = {"ppo": Headings(8), "dqn": Headings(8, fits=True), "ddpg": HeadingAndStep()}
+    assert bundle.page.move == moves[algorithm]  # of dqn as it is flown, not as it was learned
     for observation in np.random.default_rng(0).normal(0, 1, (30, SCHEMAS["polar"].size)).astype(np.float32):
         action = bundle.page.move.action(bundle.said(observation))[0]
         learned, _ = trained.model.predict(observation, deterministic=True)
@@ -314,13 +316,14 @@ def test_the_curve_sums_up_the_missions_that_ended() -> None:
     ("preset", "algorithm"), [(preset, name) for preset, recipes in PRESETS.items() for name in recipes]
 )
 def test_every_recipe_can_be_begun(preset: str, algorithm: str) -> None:
-    from agent.learn.env import SourceSearchVector
+    from agent.learn.env import Settings, SourceSearchVector
     from agent.learn.sb3 import StableBaselinesEnv
     from agent.learn.train.export import graph
     from agent.learn.train.loop import layers_of, learner
 
     recipe = PRESETS[preset][algorithm]
     assert recipe.algorithm == algorithm
+    assert Settings(**recipe.env | recipe.flown).spaces() == Settings(**recipe.env).spaces()
     env = StableBaselinesEnv(SourceSearchVector(recipe.missions, **recipe.env))
     model = learner(recipe, env, 0)
     assert recipe.moves_at_a_time == recipe.missions * (

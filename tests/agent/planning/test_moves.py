@@ -87,6 +87,27 @@ def test_a_step_is_as_long_as_it_is_set() -> None:
     assert lead(HeadingAndStep(2.0), (10.0, 10.0), EAST, (0.5, 0.0)) == pytest.approx([10.0, 11.0])
 
 
+@pytest.mark.parametrize(
+    ("move", "action", "to"),
+    [
+        (Headings(4, 2.0), 1, 2.0),
+        (HeadingAndStep(2.0), (0.5, 1.0), 2.0),
+        (HeadingAndStep(2.0), (0.5, 0.0), 1.0),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("unit_m", [1.0, 4.0])  # a frame may be as long as a move
+def test_a_step_that_fits_is_no_longer_than_the_belief_allows(
+    move: Move, action: object, to: float, unit_m: float
+) -> None:
+    fitting = msgspec.structs.replace(move, fits=True)
+    longest = np.array([0.5, 3.0 * unit_m, np.inf])
+    start, frames = np.full((3, 2), 10.0), np.array([[0.0, unit_m, 1.0]] * 3)  # y axis: to the west
+    for flown, whole_m in ((fitting, [0.5, 2 * unit_m, 2 * unit_m]), (move, [2 * unit_m] * 3)):
+        places = flown.waypoints(start, frames, np.array([action] * 3), square(30), longest)
+        assert (10.0 - places[:, 0]).tolist() == pytest.approx([each * to / 2 for each in whole_m], abs=1e-5)
+
+
 def test_no_move_leads_out_of_the_area() -> None:
     assert lead(Headings(4), (0.25, 10.0), EAST, 2) == [0.0, 10.0]
     assert lead(Headings(4), (29.5, 29.75), SLANTED, 0) == [30.0, 30.0]
@@ -134,7 +155,9 @@ def test_a_network_says_how_good_each_heading_is_or_the_action_itself() -> None:
 
 
 @pytest.mark.parametrize(
-    "move", [Headings(16), Headings(4, 0.5), HeadingAndStep(), HeadingAndStep(2.0)], ids=str
+    "move",
+    [Headings(16), Headings(4, 0.5), HeadingAndStep(), HeadingAndStep(2.0), Headings(16, fits=True)],
+    ids=str,
 )
 def test_what_actions_mean_is_told_in_json(move: Move) -> None:
     assert msgspec.json.decode(msgspec.json.encode(move), type=Move) == move
