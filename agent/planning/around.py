@@ -27,14 +27,13 @@ def distances_to(goal: Array, places: Array, area: Area) -> Array:
 def around(places: Array, goals: Array, obstacles: Obstacles) -> Array:
     """Return the lengths of the shortest ways from places (..., 2) m to goals (2, N): (..., N) m.
 
-    Ways stay clear of obstacles, but for the last leg to a goal that is not clear. Without any way, as to
-    a source inside, it is the straight distance.
+    Ways stay clear of obstacles, but for the last leg to a goal that is not clear, from the nearest place
+    that is. Without any way, as to a source inside, it is the straight distance.
     """
     found = kernels.shortest_ways(
         np.ascontiguousarray(places.reshape(-1, 2)),
         np.ascontiguousarray(goals),
         obstacles.sides.reshape(-1, 4),
-        obstacles.owners,
         obstacles.corners,
         obstacles.between,
         obstacles.clearance_m,

@@ -13,10 +13,12 @@ from plume.compiled import kernel, subroutine
 from plume.elementary import Array, Indices
 from plume.numerics import HALF_LOG_2PI, direction, erfc, exp, fma, log, log1p, total_of
 from plume.parameters import HITS_KIND, THRESHOLD_KIND
+from plume.polygons.obstacles import HAIR_M
 from plume.polygons.polygons import Flags
 
 # Particles per block; the intermediate arrays of a block stay in the processor's first-level cache.
 BLOCK = 1024
+PUSHES = 8  # from one side to the next, until a place between them is clear
 
 
 @subroutine
@@ -292,12 +294,18 @@ def displacements(frames: Array, turns: Array, lengths: Array) -> Array:
 
 
 @subroutine
-def _square_from(x: float, y: float, x_1: float, y_1: float, x_2: float, y_2: float) -> float:
-    """Squared distance of a place from the line between two others, m²."""
+def _off_side(x: float, y: float, x_1: float, y_1: float, x_2: float, y_2: float) -> tuple[float, float]:
+    """The shortest way to a place from the line between two others, m east and north."""
     along_x, along_y, off_x, off_y = x_2 - x_1, y_2 - y_1, x - x_1, y - y_1
     square = along_x * along_x + along_y * along_y
     share = min(max((off_x * along_x + off_y * along_y) / square, 0.0), 1.0) if square > 0.0 else 0.0
-    left_x, left_y = off_x - share * along_x, off_y - share * along_y
+    return off_x - share * along_x, off_y - share * along_y
+
+
+@subroutine
+def _square_from(x: float, y: float, x_1: float, y_1: float, x_2: float, y_2: float) -> float:
+    """Squared distance of a place from the line between two others, m²."""
+    left_x, left_y = _off_side(x, y, x_1, y_1, x_2, y_2)
     return float(left_x * left_x + left_y * left_y)
 
 
@@ -341,68 +349,91 @@ def _to_corners(places: Array, sides: Array, corners: Array, between: Array, cle
             east, north = corners[c, 0] - x, corners[c, 1] - y
             seen = _is_open(x, y, corners[c, 0], corners[c, 1], sides, clearance_m, nowhere)
             first[c] = math.sqrt(east * east + north * north) if seen else np.inf
-        for c in range(len(corners)):
-            result[a, c] = np.inf
-            for by in range(len(corners)):
-                result[a, c] = min(result[a, c], first[by] + between[by, c])
+        result[a] = np.inf
+        for by in range(len(corners)):
+            if first[by] < np.inf:
+                for c in range(len(corners)):
+                    result[a, c] = min(result[a, c], first[by] + between[by, c])
     return result
 
 
+@subroutine
+def _dock(x: float, y: float, sides: Array, clearance_m: float) -> tuple[bool, float, float]:
+    """Whether there is a clear place near a goal, with a leg to it that crosses no side, and the place.
+
+    It is the goal if that is clear. Else the goal is pushed away from the nearest side, a few times.
+    """
+    end_x, end_y, everything = x, y, np.ones(len(sides), np.bool_)
+    for _ in range(PUSHES):
+        least, from_x, from_y = np.inf, 0.0, 0.0
+        for s in range(len(sides)):
+            x_1, y_1, x_2, y_2 = sides[s]
+            off_x, off_y = _off_side(end_x, end_y, x_1, y_1, x_2, y_2)
+            square = off_x * off_x + off_y * off_y
+            if square < least:
+                least, from_x, from_y = square, off_x, off_y
+        if least > clearance_m * clearance_m:
+            return _is_open(end_x, end_y, x, y, sides, clearance_m, everything), end_x, end_y
+        if least == 0.0:
+            break
+        further = (clearance_m + HAIR_M) / math.sqrt(least) - 1.0
+        end_x, end_y = end_x + further * from_x, end_y + further * from_y
+    return False, x, y
+
+
 @kernel(
-    "float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], int64[::1], float64[:, ::1], "
-    "float64[:, ::1], float64)",
+    "float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], "
+    "float64)",
     nogil=True,
 )
 def shortest_ways(
     places: Array,
     goals: Array,
     sides: Array,
-    owners: Indices,
     corners: Array,
     between: Array,
     clearance_m: float,
 ) -> Array:
     """Lengths (A, N) m of the shortest ways from places (A, 2) to goals (2, N), straight or by corners.
 
-    sides: (S, 4), x and y of both ends, by polygon; owners: (S,) the first side of each one's polygon.
-    corners: (C, 2).  between: (C, C) m, lengths of ways between them. A way stays further than the clearance
-    from polygons; where the goal or all ways to it do not, the last leg crosses no side. Without any way it
-    is the straight distance.
+    sides: (S, 4), x and y of both ends.  corners: (C, 2).  between: (C, C) m, lengths of ways between them. A
+    way stays further than the clearance from polygons. A goal that does not is reached from its `_dock`, or,
+    between polygons, from corners by legs that cross no side. So a place that is a metre away is never more
+    than a metre nearer to any goal. Without any way it is the straight distance.
     """
-    result, near = np.empty((len(places), goals.shape[1])), np.empty(len(sides), np.bool_)
+    result, count = np.empty((len(places), goals.shape[1])), len(corners)
     to_corners = _to_corners(places, sides, corners, between, clearance_m)
-    last = np.empty((2, len(corners)))  # m of the leg from each corner, by attempt; below 0: not known yet
-    everything = np.ones(len(sides), np.bool_)
+    nothing, everything = np.zeros(len(sides), np.bool_), np.ones(len(sides), np.bool_)
+    legs, are_open, known = np.empty(count), np.empty(count, np.bool_), np.empty(count, np.bool_)
     for n in range(goals.shape[1]):
         goal_x, goal_y = goals[0, n], goals[1, n]
-        near[:] = False
-        for s in range(len(sides)):
-            x_1, y_1, x_2, y_2 = sides[s]
-            if _square_from(goal_x, goal_y, x_1, y_1, x_2, y_2) <= clearance_m * clearance_m:
-                near[owners[s]] = True
-        for s in range(len(sides)):
-            near[s] = near[owners[s]]
-        last[:] = -1.0
+        docked, end_x, end_y = _dock(goal_x, goal_y, sides, clearance_m)
+        allowed = nothing if docked else everything
+        last = math.sqrt((goal_x - end_x) * (goal_x - end_x) + (goal_y - end_y) * (goal_y - end_y))
+        for c in range(count):
+            east, north = end_x - corners[c, 0], end_y - corners[c, 1]
+            legs[c] = math.sqrt(east * east + north * north)
+        known[:] = False
+        by = 0  # the corner by which the place before went: a good one to begin with
         for a in range(len(places)):
             x, y = places[a]
-            east, north = goal_x - x, goal_y - y
             best = np.inf
-            for attempt in range(2):  # the second one for goals between polygons, which all legs come near
-                allowed = near if attempt == 0 else everything
-                if best < np.inf:
-                    break
-                if _is_open(x, y, goal_x, goal_y, sides, clearance_m, allowed):
-                    best = math.sqrt(east * east + north * north)
-                    break
-                for c in range(len(corners)):
-                    if to_corners[a, c] >= best:
+            if docked and _is_open(x, y, end_x, end_y, sides, clearance_m, nothing):
+                best = math.sqrt((end_x - x) * (end_x - x) + (end_y - y) * (end_y - y))
+            else:
+                first = by
+                for k in range(first, first + count):
+                    c = k if k < count else k - count
+                    length = to_corners[a, c] + legs[c]
+                    if length >= best:
                         continue
-                    if last[attempt, c] < 0.0:
-                        off_x, off_y = goal_x - corners[c, 0], goal_y - corners[c, 1]
-                        seen = _is_open(
-                            corners[c, 0], corners[c, 1], goal_x, goal_y, sides, clearance_m, allowed
+                    if not known[c]:
+                        known[c] = True
+                        are_open[c] = _is_open(
+                            corners[c, 0], corners[c, 1], end_x, end_y, sides, clearance_m, allowed
                         )
-                        last[attempt, c] = math.sqrt(off_x * off_x + off_y * off_y) if seen else np.inf
-                    best = min(best, to_corners[a, c] + last[attempt, c])
-            result[a, n] = best if best < np.inf else math.sqrt(east * east + north * north)
+                    if are_open[c]:
+                        best, by = length, c
+            east, north = goal_x - x, goal_y - y
+            result[a, n] = best + last if best < np.inf else math.sqrt(east * east + north * north)
     return result

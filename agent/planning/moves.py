@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from link.bus.messages import Belief
 from plume.elementary import Array, direction
+from plume.polygons.obstacles import HAIR_M
 from plume.problem import AREA, Area
 from plume.scenario import STEP_M
 
@@ -58,7 +59,8 @@ class Reach:
         """Return the waypoints (A, 2) m that one step reaches in the area; float32 values, as on the wire.
 
         Where an obstacle is in the way, a step is as short as of PARTS; without any free way, the waypoint is
-        the place itself.
+        the place itself. Among obstacles, moves towards the corners in sight follow those of the headings:
+        the shortest way to any place begins with one of them, or is straight.
         """
         if self.area.obstacles:
             places = self._moves_between(position)
@@ -77,8 +79,20 @@ class Reach:
         places = (np.asarray(position) + steps).astype(np.float32).astype(np.float64)
         free = self.area.held(places) & self._are_clear(position, places)
         longest = free.argmax(axis=0), np.arange(self.headings)
-        moves = places[longest][free[longest]]
+        moves = np.concatenate([places[longest][free[longest]], self._towards_corners(position)])
         return moves if len(moves) else np.array([position], np.float64)
+
+    def _towards_corners(self, position: tuple[float, float]) -> Array:
+        """Moves (C, 2) m towards the corners of ways around obstacles, of those that are in sight."""
+        assert self.area.obstacles
+        ways = self.area.obstacles.corners - np.asarray(position)
+        lengths_m = lengths(ways)
+        ways, lengths_m = ways[lengths_m > HAIR_M], lengths_m[lengths_m > HAIR_M]
+        shares = np.minimum(self.step / lengths_m, 1.0)[:, None]
+        corners = np.asarray(position) + ways
+        places = (np.asarray(position) + shares * ways).astype(np.float32).astype(np.float64)
+        seen = self._are_clear(position, corners) & self.area.held(places)
+        return places[seen & self._are_clear(position, places)]
 
     def _are_clear(self, position: tuple[float, float], places: Array) -> NDArray[np.bool_]:
         """Whether no obstacle is in the ways from a position to places (..., 2) m: (...)."""

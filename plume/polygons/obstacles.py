@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plume.polygons.polygons import Array, Flags, Place, enclosed, gaps, grown_corners, sides_of
 
@@ -38,12 +37,6 @@ class Obstacles:
     @cached_property
     def _outs(self) -> int:
         return sum(map(len, self._polygons[: len(self.keep_out)]))
-
-    @cached_property
-    def owners(self) -> NDArray[np.int64]:
-        """The number of the first side of each side's polygon, (S,)."""
-        counts = [len(sides) for sides in self._polygons]
-        return np.repeat(np.cumsum([0, *counts[:-1]]), counts)
 
     @property
     def walls(self) -> Array:

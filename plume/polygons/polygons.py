@@ -5,7 +5,7 @@ A way is a straight line from a place to another, (..., 2, 2) m. A side of a pol
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 Place = tuple[float, float]
+
+TURN = 22.5  # degrees
+LEAST = math.cos(math.radians(TURN)) - 1e-9
 
 
 def gaps(ways: Array, others: Array) -> Array:
@@ -73,7 +76,8 @@ def enclosed(places: Array, sides: Array) -> Flags:
 def grown_corners(sides: Array, margin_m: float) -> Array:
     """Return the convex corners (C, 2) m of one polygon, moved outwards: lines join them a margin away.
 
-    sides: (K, 2, 2), counter-clockwise. A corner that turns by more than a right angle is cut into two.
+    sides: (K, 2, 2), counter-clockwise. A corner is cut into halves until none turns by more than about
+    TURN degrees, so that ways past it are hardly longer than along the arc, and are as free.
     """
     result = []
     for (before, corner), (_, after) in zip(np.roll(sides, 1, axis=0), sides, strict=True):
@@ -81,12 +85,18 @@ def grown_corners(sides: Array, margin_m: float) -> Array:
         if _cross(there, on) <= 0:
             continue
         normals = [np.array([along[1], -along[0]]) for along in (there, on)]
-        if there[0] * on[0] + there[1] * on[1] < 0:
+        if _dot(there, on) < 0:
             normals.insert(1, _unit(there - on))
+        while any(_dot(*pair) < LEAST for pair in pairwise(normals)):
+            halves = [(one, _unit(one + other)) for one, other in pairwise(normals)]
+            normals = [*chain(*halves), normals[-1]]
         for one, other in pairwise(normals):
-            both = one + other
-            result.append(corner + margin_m * both / (1 + one[0] * other[0] + one[1] * other[1]))
+            result.append(corner + margin_m * (one + other) / (1 + _dot(one, other)))
     return np.array(result).reshape(-1, 2)
+
+
+def _dot(one: Array, other: Array) -> float:
+    return float(one[0] * other[0] + one[1] * other[1])
 
 
 def _unit(vector: Array) -> Array:

@@ -11,6 +11,7 @@ from agent.learn.env import SourceSearch
 from agent.planning.around import around, distances_to
 from agent.planning.moves import Reach, lengths
 from agent.trials.rollout import mission
+from benchmarks.obstacles import among_buildings
 from plume.polygons.obstacles import HAIR_M, Obstacles
 from plume.problem import AREA, Problem
 from plume.problems.fleet import Fleet
@@ -47,14 +48,27 @@ def test_moves_never_enter_a_grown_obstacle_wherever_the_vehicle_is() -> None:
 
 
 def test_far_from_obstacles_moves_are_those_of_the_open_area() -> None:
-    assert (reach().moves((5.0, 5.0)) == Reach(headings=8).moves((5.0, 5.0))).all()
+    moves = reach().moves((5.0, 5.0))
+    assert (moves[:8] == Reach(headings=8).moves((5.0, 5.0))).all()
+
+
+def test_moves_lead_to_the_corners_in_sight_too_so_there_is_one_along_each_wall() -> None:
+    """From close to the middle of the house's western wall, its north-western corner is in sight."""
+    position = (8.98, 16.0)
+    moves = reach().moves(position).tolist()
+    assert sum(8.982 < x < 8.984 and 16.999 < y < 17.001 for x, y in moves) == 1  # 1 m of 4.2 m, to x = 8.99
+    assert all(math.dist(place, position) < 1.001 for place in moves)
+    close = reach().moves((8.98, 20.0))  # the corner is nearer than a step: no move goes beyond it
+    assert any(0.1 < math.dist(place, (8.98, 20.0)) < 0.5 for place in close)
 
 
 def test_a_step_towards_a_wall_is_halved_until_it_is_free() -> None:
     """From 2.5 m before the wall, with a clearance of 1 m, a step of 2 m east is 1 m; from 1.1 m none."""
     assert [8.5, 15.0] in reach(2.0).moves((7.5, 15.0)).tolist()
     near = np.float32(8.9).item()
-    assert all(x <= near for x, _ in reach(2.0).moves((near, 15.0)).tolist())
+    moves = reach(2.0).moves((near, 15.0)).tolist()
+    assert all(x < 9 for x, _ in moves)
+    assert sum(x > near for x, _ in moves) == 2  # towards the two corners, along the wall
 
 
 def test_who_has_no_free_way_stays() -> None:
@@ -91,13 +105,15 @@ def test_in_the_open_a_distance_is_straight() -> None:
 
 
 def test_a_distance_leads_around_the_house_by_its_corners() -> None:
-    low, high = 9 - HAIR_M, 21 + HAIR_M
-    leg = math.dist((5, 15), (low, low))
-    assert around(np.array([5.0, 15.0]), np.array([[25.0], [15.0]]), OBSTACLES) == pytest.approx(
-        [2 * leg + high - low]
-    )
-    by_one = math.dist((5, 15), (low, low)) + math.dist((low, low), (15, 9.5))  # a source in the clearance
-    assert around(np.array([5.0, 15.0]), np.array([[15.0], [9.5]]), OBSTACLES) == pytest.approx([by_one])
+    """A string pulled tight around the house, a metre off: straight to the arc around a corner, along it, on."""
+    tangent = math.sqrt(math.dist((5, 15), (10, 10)) ** 2 - 1)
+    arc = math.radians(270 - 135) - math.acos(1 / math.dist((5, 15), (10, 10)))
+    for goal, length_m in (
+        ((25.0, 15.0), 2 * (tangent + arc) + 10),
+        ((15.0, 9.5), tangent + arc + 5 + 0.5),  # in the clearance: along the wall, and in
+    ):
+        found = around(np.array([5.0, 15.0]), np.array(goal)[:, None], OBSTACLES)[0]
+        assert length_m < found < 1.005 * length_m
 
 
 def test_a_source_inside_is_as_far_as_the_crow_flies() -> None:
@@ -125,6 +141,26 @@ def test_ways_around_are_as_long_as_those_of_a_fine_grid() -> None:
     assert len(goals) > 2500
     assert longer.max() < 1.1
     assert longer[found > 2].min() > 0.97  # corners of the visibility graph are cut square
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nobody_is_nearer_to_a_goal_by_more_than_the_metres_flown(seed: int) -> None:
+    """A search whose moves promise more goes to and fro between two places.
+
+    In a few places a passage is as wide as two clearances, and ways by corners miss it.
+    """
+    obstacles, rng = among_buildings(seed).ground.obstacles, np.random.default_rng(seed)
+    places = rng.random((400, 2)) * 30
+    places = places[obstacles.are_clear(places)]
+    others = places + rng.normal(0, 0.7, places.shape)
+    free = obstacles.are_free(np.stack([places, others], axis=1))
+    places, others = places[free], others[free]
+    goals = rng.random((2, 500)) * 30
+    goals = goals[:, ~obstacles.enclose(goals.T)]
+    assert 20 < (~obstacles.are_clear(goals.T)).sum() < 400
+    gained = np.abs(around(places, goals, obstacles) - around(others, goals, obstacles))
+    assert len(gained) > 50
+    assert (gained > lengths(others - places)[:, None] + 2 * HAIR_M).mean() < 1e-4
 
 
 @pytest.mark.parametrize("continuous", [False, True])

@@ -67,10 +67,10 @@ def test_ways_stay_inside_the_polygon_to_keep_in() -> None:
 
 @pytest.mark.parametrize("corners", [HOUSE, ((5.0, 5.0), (25.0, 6.0), (5.0, 7.0))])
 def test_lines_between_grown_corners_are_the_margin_away(corners: tuple) -> None:
-    """A square has one for each corner, a splinter more at its sharp ends."""
+    """A square's corners turn by four eighths of a right angle each, a splinter's by more."""
     sides = sides_of(corners)
     grown = grown_corners(sides, 2.0)
-    assert len(grown) == (4 if corners == HOUSE else 6)
+    assert len(grown) == (16 if corners == HOUSE else 24)
     assert not enclosed(grown, sides).any()
     around = np.stack([grown, np.roll(grown, -1, axis=0)], axis=1)
     grazing = Obstacles([corners], (), 2.0 - 1e-9, (0.0, 0.0), (30.0, 30.0))
@@ -81,18 +81,21 @@ def test_lines_between_grown_corners_are_the_margin_away(corners: tuple) -> None
 def test_the_way_between_corners_goes_around_the_house() -> None:
     here = obstacles(HOUSE)
     off = 1.0 + HAIR_M
-    by_place = {(round(x, 2), round(y, 2)): number for number, (x, y) in enumerate(here.corners.tolist())}
-    a, b, c = (
-        by_place[place] for place in ((10 - off, 10 - off), (20 + off, 10 - off), (20 + off, 20 + off))
-    )
-    assert here.between[a, b] == pytest.approx(10 + 2 * off)
-    assert here.between[a, c] == pytest.approx(2 * (10 + 2 * off))
+    half = off * math.tan(math.radians(22.5 / 2))  # of a piece of the way round a corner
+    places = ((10 - half, 10 - off), (20 + half, 10 - off), (20 + off, 20 + half))
+    a, b, c = (int(np.argmin(np.square(here.corners - place).sum(axis=1))) for place in places)
+    assert here.corners[[a, b, c]] == pytest.approx(np.array(places))
+    assert here.between[a, b] == pytest.approx(10 + 2 * half)
+    assert here.between[a, c] == pytest.approx(2 * (10 + 2 * half) + 3 * 2 * half)
     assert (here.between == here.between.T).all()
 
 
 def test_the_way_in_a_bent_yard_turns_at_its_inner_corner() -> None:
     here = obstacles(keep_in=YARD)
-    assert here.corners == pytest.approx(np.array([[9 - HAIR_M, 9 - HAIR_M]]))
+    off = np.sqrt(np.square(here.corners - 10).sum(axis=1))
+    assert len(off) == 4
+    assert ((off > 1) & (off < 1.04)).all()
+    assert (here.corners < 10).all()
 
 
 def test_a_wall_across_leaves_no_way_and_a_gap_in_it_does() -> None:
