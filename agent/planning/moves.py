@@ -85,14 +85,13 @@ class Reach:
     def _towards_corners(self, position: tuple[float, float]) -> Array:
         """Moves (C, 2) m towards the corners of ways around obstacles, of those that are in sight."""
         assert self.area.obstacles
-        ways = self.area.obstacles.corners - np.asarray(position)
-        lengths_m = lengths(ways)
-        ways, lengths_m = ways[lengths_m > HAIR_M], lengths_m[lengths_m > HAIR_M]
-        shares = np.minimum(self.step / lengths_m, 1.0)[:, None]
-        corners = np.asarray(position) + ways
-        places = (np.asarray(position) + shares * ways).astype(np.float32).astype(np.float64)
+        corners = self.area.obstacles.corners
+        corners = corners[lengths(corners - position) > HAIR_M]
+        ways = corners - position
+        shares = np.minimum(self.step / lengths(ways), 1.0)[:, None]
+        places = (position + shares * ways).astype(np.float32).astype(np.float64)
         seen = self._are_clear(position, corners) & self.area.held(places)
-        return places[seen & self._are_clear(position, places)]
+        return np.asarray(places[seen & self._are_clear(position, places)])
 
     def _are_clear(self, position: tuple[float, float], places: Array) -> NDArray[np.bool_]:
         """Whether no obstacle is in the ways from a position to places (..., 2) m: (...)."""
