@@ -83,9 +83,9 @@ class Reach:
         return moves if len(moves) else np.array([position], np.float64)
 
     def _towards_corners(self, position: tuple[float, float]) -> Array:
-        """Moves (C, 2) m towards the corners of ways around obstacles, of those that are in sight."""
+        """Moves (C, 2) m towards the corners in sight, of those at which a way around can turn."""
         assert self.area.obstacles
-        corners = self.area.obstacles.corners
+        corners = self.area.obstacles.past(np.array(position))
         corners = corners[lengths(corners - position) > HAIR_M]
         ways = corners - position
         shares = np.minimum(self.step / lengths(ways), 1.0)[:, None]

@@ -78,10 +78,25 @@ class Obstacles:
     @cached_property
     def corners(self) -> Array:
         """Places (C, 2) m at which ways around turn."""
+        return self._turns[0]
+
+    @cached_property
+    def _turns(self) -> tuple[Array, Array]:
         margin_m = self.clearance_m + HAIR_M
-        found = np.concatenate([grown_corners(sides, margin_m) for sides in self._polygons])
-        found = found[((found >= self.low) & (found <= self.high)).all(axis=1)]
-        return np.ascontiguousarray(found[self.are_clear(found)])
+        grown = [grown_corners(sides, margin_m) for sides in self._polygons]
+        corners, faces = (np.concatenate(each) for each in zip(*grown, strict=True))
+        there = ((corners >= self.low) & (corners <= self.high)).all(axis=1) & self.are_clear(corners)
+        return np.ascontiguousarray(corners[there]), faces[there]
+
+    def past(self, place: Array) -> Array:
+        """Return the corners (T, 2) m at which a way from a place (2,) can turn: it grazes what is there.
+
+        At the others the way would meet both of a corner's faces, and a shorter one passes by.
+        """
+        corners, faces = self._turns
+        off = place - corners
+        behind = off[:, None, 0] * faces[:, :, 0] + off[:, None, 1] * faces[:, :, 1]
+        return np.asarray(corners[behind.min(axis=1) <= 0])
 
     @cached_property
     def between(self) -> Array:

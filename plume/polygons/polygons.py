@@ -73,13 +73,15 @@ def enclosed(places: Array, sides: Array) -> Flags:
     return np.asarray(up.sum(axis=-1) != down.sum(axis=-1))
 
 
-def grown_corners(sides: Array, margin_m: float) -> Array:
+def grown_corners(sides: Array, margin_m: float) -> tuple[Array, Array]:
     """Return the convex corners (C, 2) m of one polygon, moved outwards: lines join them a margin away.
+
+    Also returned are the normals (C, 2, 2) of the lines that meet there, outwards.
 
     sides: (K, 2, 2), counter-clockwise. A corner is cut into halves until none turns by more than about
     TURN degrees, so that ways past it are hardly longer than along the arc, and are as free.
     """
-    result = []
+    corners, faces = [], []
     for (before, corner), (_, after) in zip(np.roll(sides, 1, axis=0), sides, strict=True):
         there, on = _unit(corner - before), _unit(after - corner)
         if _cross(there, on) <= 0:
@@ -91,8 +93,9 @@ def grown_corners(sides: Array, margin_m: float) -> Array:
             halves = [(one, _unit(one + other)) for one, other in pairwise(normals)]
             normals = [*chain(*halves), normals[-1]]
         for one, other in pairwise(normals):
-            result.append(corner + margin_m * (one + other) / (1 + _dot(one, other)))
-    return np.array(result).reshape(-1, 2)
+            corners.append(corner + margin_m * (one + other) / (1 + _dot(one, other)))
+            faces.append((one, other))
+    return np.array(corners).reshape(-1, 2), np.array(faces).reshape(-1, 2, 2)
 
 
 def _dot(one: Array, other: Array) -> float:

@@ -69,7 +69,7 @@ def test_ways_stay_inside_the_polygon_to_keep_in() -> None:
 def test_lines_between_grown_corners_are_the_margin_away(corners: tuple) -> None:
     """A square's corners turn by four eighths of a right angle each, a splinter's by more."""
     sides = sides_of(corners)
-    grown = grown_corners(sides, 2.0)
+    grown, _ = grown_corners(sides, 2.0)
     assert len(grown) == (16 if corners == HOUSE else 24)
     assert not enclosed(grown, sides).any()
     around = np.stack([grown, np.roll(grown, -1, axis=0)], axis=1)
@@ -88,6 +88,17 @@ def test_the_way_between_corners_goes_around_the_house() -> None:
     assert here.between[a, b] == pytest.approx(10 + 2 * half)
     assert here.between[a, c] == pytest.approx(2 * (10 + 2 * half) + 3 * 2 * half)
     assert (here.between == here.between.T).all()
+
+
+def test_a_way_turns_only_at_the_corners_that_it_grazes() -> None:
+    """Seen from the west, a house hides behind its two western corners; from the south-west, behind two others."""
+    here = obstacles(HOUSE)
+    for place, south, north in (((2.0, 15.0), (10, 10), (10, 20)), ((5.0, 5.0), (20, 10), (10, 20))):
+        found = here.past(np.array(place))
+        seen = found[here.are_free(np.stack(np.broadcast_arrays(np.array(place), found), axis=1))]
+        assert len(seen) == 2
+        for corner, of in zip(seen[np.argsort(seen[:, 1])], (south, north), strict=True):
+            assert math.dist(corner, of) < 1.04
 
 
 def test_the_way_in_a_bent_yard_turns_at_its_inner_corner() -> None:
