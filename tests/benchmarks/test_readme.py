@@ -1,5 +1,6 @@
 """Protects the README's figures: they are those of the rows in results/."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ def test_the_readme_tells_the_figures_of_results(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr("sys.argv", ["readme", "--check"])
     page.write_text(text)
     assert readme.main() == 0
-    page.write_text(text.replace("false stops 1.3% [0.8, 2.2]", "false stops 1.2% [0.8, 2.2]"))
+    page.write_text(re.sub(r"false stops [\d.]+%", "false stops 99%", text, count=1))
     assert readme.main() == 1
     monkeypatch.setattr("sys.argv", ["readme"])
     assert readme.main() == 0
