@@ -14,7 +14,6 @@ from plume.elementary import Array, Indices
 from plume.numerics import HALF_LOG_2PI, direction, erfc, exp, fma, log, log1p, total_of
 from plume.parameters import HITS_KIND, THRESHOLD_KIND
 from plume.polygons.obstacles import HAIR_M
-from plume.polygons.polygons import Flags
 
 # Particles per block; the intermediate arrays of a block stay in the processor's first-level cache.
 BLOCK = 1024
@@ -311,9 +310,9 @@ def _square_from(x: float, y: float, x_1: float, y_1: float, x_2: float, y_2: fl
 
 @subroutine
 def _is_open(
-    x: float, y: float, goal_x: float, goal_y: float, sides: Array, clearance_m: float, near: Flags
+    x: float, y: float, goal_x: float, goal_y: float, sides: Array, clearance_m: float, may_graze: bool
 ) -> bool:
-    """True if a straight way crosses no side and is stays clear of those that are not `near` (S,)."""
+    """True if a straight way crosses no side, and stays clear of all unless it `may_graze` them."""
     low_x, high_x = min(x, goal_x) - clearance_m, max(x, goal_x) + clearance_m
     low_y, high_y = min(y, goal_y) - clearance_m, max(y, goal_y) + clearance_m
     east, north, least = goal_x - x, goal_y - y, clearance_m * clearance_m
@@ -328,7 +327,7 @@ def _is_open(
             from_goal = (x_2 - x_1) * (goal_y - y_1) - (y_2 - y_1) * (goal_x - x_1)
             if (from_place < 0.0) != (from_goal < 0.0):
                 return False
-        if not near[s] and (
+        if not may_graze and (
             _square_from(x_1, y_1, x, y, goal_x, goal_y) <= least
             or _square_from(x_2, y_2, x, y, goal_x, goal_y) <= least
             or _square_from(x, y, x_1, y_1, x_2, y_2) <= least
@@ -342,12 +341,11 @@ def _is_open(
 def _to_corners(places: Array, sides: Array, corners: Array, between: Array, clearance_m: float) -> Array:
     """Lengths (A, C) m of the shortest ways from places (A, 2) to corners; infinite if there is none."""
     result, first = np.empty((len(places), len(corners))), np.empty(len(corners))
-    nowhere = np.zeros(len(sides), np.bool_)
     for a in range(len(places)):
         x, y = places[a]
         for c in range(len(corners)):
             east, north = corners[c, 0] - x, corners[c, 1] - y
-            seen = _is_open(x, y, corners[c, 0], corners[c, 1], sides, clearance_m, nowhere)
+            seen = _is_open(x, y, corners[c, 0], corners[c, 1], sides, clearance_m, False)
             first[c] = math.sqrt(east * east + north * north) if seen else np.inf
         result[a] = np.inf
         for by in range(len(corners)):
@@ -363,7 +361,7 @@ def _dock(x: float, y: float, sides: Array, clearance_m: float) -> tuple[bool, f
 
     It is the goal if that is clear. Else the goal is pushed away from the nearest side, a few times.
     """
-    end_x, end_y, everything = x, y, np.ones(len(sides), np.bool_)
+    end_x, end_y = x, y
     for _ in range(PUSHES):
         least, from_x, from_y = np.inf, 0.0, 0.0
         for s in range(len(sides)):
@@ -373,7 +371,7 @@ def _dock(x: float, y: float, sides: Array, clearance_m: float) -> tuple[bool, f
             if square < least:
                 least, from_x, from_y = square, off_x, off_y
         if least > clearance_m * clearance_m:
-            return _is_open(end_x, end_y, x, y, sides, clearance_m, everything), end_x, end_y
+            return _is_open(end_x, end_y, x, y, sides, clearance_m, True), end_x, end_y
         if least == 0.0:
             break
         further = (clearance_m + HAIR_M) / math.sqrt(least) - 1.0
@@ -403,12 +401,10 @@ def shortest_ways(
     """
     result, count = np.empty((len(places), goals.shape[1])), len(corners)
     to_corners = _to_corners(places, sides, corners, between, clearance_m)
-    nothing, everything = np.zeros(len(sides), np.bool_), np.ones(len(sides), np.bool_)
     legs, are_open, known = np.empty(count), np.empty(count, np.bool_), np.empty(count, np.bool_)
     for n in range(goals.shape[1]):
         goal_x, goal_y = goals[0, n], goals[1, n]
         docked, end_x, end_y = _dock(goal_x, goal_y, sides, clearance_m)
-        allowed = nothing if docked else everything
         last = math.sqrt((goal_x - end_x) * (goal_x - end_x) + (goal_y - end_y) * (goal_y - end_y))
         for c in range(count):
             east, north = end_x - corners[c, 0], end_y - corners[c, 1]
@@ -418,7 +414,7 @@ def shortest_ways(
         for a in range(len(places)):
             x, y = places[a]
             best = np.inf
-            if docked and _is_open(x, y, end_x, end_y, sides, clearance_m, nothing):
+            if docked and _is_open(x, y, end_x, end_y, sides, clearance_m, False):
                 best = math.sqrt((end_x - x) * (end_x - x) + (end_y - y) * (end_y - y))
             else:
                 first = by
@@ -430,7 +426,7 @@ def shortest_ways(
                     if not known[c]:
                         known[c] = True
                         are_open[c] = _is_open(
-                            corners[c, 0], corners[c, 1], end_x, end_y, sides, clearance_m, allowed
+                            corners[c, 0], corners[c, 1], end_x, end_y, sides, clearance_m, not docked
                         )
                     if are_open[c]:
                         best, by = length, c
