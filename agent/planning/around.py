@@ -37,5 +37,6 @@ def around(places: Array, goals: Array, obstacles: Obstacles) -> Array:
         obstacles.corners,
         obstacles.between,
         obstacles.clearance_m,
+        obstacles.margin_m,
     )
     return np.asarray(found.reshape(*places.shape[:-1], -1))

@@ -13,7 +13,6 @@ from plume.compiled import kernel, subroutine
 from plume.elementary import Array, Indices
 from plume.numerics import HALF_LOG_2PI, direction, erfc, exp, fma, log, log1p, total_of
 from plume.parameters import HITS_KIND, THRESHOLD_KIND
-from plume.polygons.obstacles import HAIR_M
 
 # Particles per block; the intermediate arrays of a block stay in the processor's first-level cache.
 BLOCK = 1024
@@ -356,10 +355,10 @@ def _to_corners(places: Array, sides: Array, corners: Array, between: Array, cle
 
 
 @subroutine
-def _dock(x: float, y: float, sides: Array, clearance_m: float) -> tuple[bool, float, float]:
+def _dock(x: float, y: float, sides: Array, clearance_m: float, margin_m: float) -> tuple[bool, float, float]:
     """Whether there is a clear place near a goal, with a leg to it that crosses no side, and the place.
 
-    It is the goal if that is clear. Else the goal is pushed away from the nearest side, a few times.
+    It is the goal if that is clear. Else the goal is pushed a margin away from the nearest side, a few times.
     """
     end_x, end_y = x, y
     for _ in range(PUSHES):
@@ -374,14 +373,14 @@ def _dock(x: float, y: float, sides: Array, clearance_m: float) -> tuple[bool, f
             return _is_open(end_x, end_y, x, y, sides, clearance_m, True), end_x, end_y
         if least == 0.0:
             break
-        further = (clearance_m + HAIR_M) / math.sqrt(least) - 1.0
+        further = margin_m / math.sqrt(least) - 1.0
         end_x, end_y = end_x + further * from_x, end_y + further * from_y
     return False, x, y
 
 
 @kernel(
     "float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], "
-    "float64)",
+    "float64, float64)",
     nogil=True,
 )
 def shortest_ways(
@@ -391,20 +390,22 @@ def shortest_ways(
     corners: Array,
     between: Array,
     clearance_m: float,
+    margin_m: float,
 ) -> Array:
     """Lengths (A, N) m of the shortest ways from places (A, 2) to goals (2, N), straight or by corners.
 
-    sides: (S, 4), x and y of both ends.  corners: (C, 2).  between: (C, C) m, lengths of ways between them. A
-    way stays further than the clearance from polygons. A goal that does not is reached from its `_dock`, or,
-    between polygons, from corners by legs that cross no side. So a place that is a metre away is never more
-    than a metre nearer to any goal. Without any way it is the straight distance.
+    sides: (S, 4), x and y of both ends.  corners: (C, 2), about a margin from them.  between: (C, C) m,
+    lengths of ways between corners. A way stays further than the clearance from polygons. A goal that does
+    not is reached from its `_dock`, or, between polygons, from corners by legs that cross no side. So a place
+    that is a metre away is never more than a metre nearer to any goal. Without any way it is the straight
+    distance.
     """
     result, count = np.empty((len(places), goals.shape[1])), len(corners)
     to_corners = _to_corners(places, sides, corners, between, clearance_m)
     legs, are_open, known = np.empty(count), np.empty(count, np.bool_), np.empty(count, np.bool_)
     for n in range(goals.shape[1]):
         goal_x, goal_y = goals[0, n], goals[1, n]
-        docked, end_x, end_y = _dock(goal_x, goal_y, sides, clearance_m)
+        docked, end_x, end_y = _dock(goal_x, goal_y, sides, clearance_m, margin_m)
         last = math.sqrt((goal_x - end_x) * (goal_x - end_x) + (goal_y - end_y) * (goal_y - end_y))
         for c in range(count):
             east, north = end_x - corners[c, 0], end_y - corners[c, 1]

@@ -80,10 +80,14 @@ class Obstacles:
         """Places (C, 2) m at which ways around turn."""
         return self._turns[0]
 
+    @property
+    def margin_m(self) -> float:
+        """How far ways by corners stand off."""
+        return self.clearance_m + HAIR_M
+
     @cached_property
     def _turns(self) -> tuple[Array, Array]:
-        margin_m = self.clearance_m + HAIR_M
-        grown = [grown_corners(sides, margin_m) for sides in self._polygons]
+        grown = [grown_corners(sides, self.margin_m) for sides in self._polygons]
         corners, faces = (np.concatenate(each) for each in zip(*grown, strict=True))
         there = ((corners >= self.low) & (corners <= self.high)).all(axis=1) & self.are_clear(corners)
         return np.ascontiguousarray(corners[there]), faces[there]

@@ -15,8 +15,8 @@ Flags = NDArray[np.bool_]
 
 Place = tuple[float, float]
 
-TURN = 22.5  # degrees
-LEAST = math.cos(math.radians(TURN)) - 1e-9
+# Cosine of 22.5°, the most that a way turns at a corner, less some rounding.
+LEAST = math.sqrt(2 + math.sqrt(2)) / 2 - 1e-9
 
 
 def gaps(ways: Array, others: Array) -> Array:
@@ -78,8 +78,8 @@ def grown_corners(sides: Array, margin_m: float) -> tuple[Array, Array]:
 
     Also returned are the normals (C, 2, 2) of the lines that meet there, outwards.
 
-    sides: (K, 2, 2), counter-clockwise. A corner is cut into halves until none turns by more than about
-    TURN degrees, so that ways past it are hardly longer than along the arc, and are as free.
+    sides: (K, 2, 2), counter-clockwise. A corner is cut into halves until none turns by more than
+    22.5°, so that ways past it are hardly longer than along the arc, and are as free.
     """
     corners, faces = [], []
     for (before, corner), (_, after) in zip(np.roll(sides, 1, axis=0), sides, strict=True):
