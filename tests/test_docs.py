@@ -372,6 +372,7 @@ def started(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subproc
         "PATH": f"{copy / '.venv' / 'bin'}{os.pathsep}{os.environ['PATH']}",
         "PYTHONPATH": os.pathsep.join(map(str, (copy, cwd / "site"))),
         "COLUMNS": "160",
+        "SB3_LOGDIR": str(copy / "sb3"),  # else an example's learner leaves a folder behind
     }
     with said.open("ab") as file:
         shell, null = ["bash", "-c", command], subprocess.DEVNULL

@@ -397,8 +397,8 @@ def shortest_ways(
     sides: (S, 4), x and y of both ends.  corners: (C, 2), about a margin from them.  between: (C, C) m,
     lengths of ways between corners. A way stays further than the clearance from polygons. A goal that does
     not is reached from its `_dock`, or, between polygons, from corners by legs that cross no side. So a place
-    that is a metre away is never more than a metre nearer to any goal. Without any way it is the straight
-    distance.
+    that is a metre away is no more than a metre nearer to any goal, but where a passage is just as wide as
+    two clearances. Without any way it is the straight distance.
     """
     result, count = np.empty((len(places), goals.shape[1])), len(corners)
     to_corners = _to_corners(places, sides, corners, between, clearance_m)
