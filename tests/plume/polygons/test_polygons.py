@@ -67,7 +67,7 @@ def test_ways_stay_inside_the_polygon_to_keep_in() -> None:
 
 @pytest.mark.parametrize("corners", [HOUSE, ((5.0, 5.0), (25.0, 6.0), (5.0, 7.0))])
 def test_lines_between_grown_corners_are_the_margin_away(corners: tuple) -> None:
-    """A square's corners turn by four eighths of a right angle each, a splinter's by more."""
+    """A square has four for each corner, a splinter more at its sharp ends."""
     sides = sides_of(corners)
     grown, _ = grown_corners(sides, 2.0)
     assert len(grown) == (16 if corners == HOUSE else 24)
