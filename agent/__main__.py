@@ -85,7 +85,7 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
         "--sysid",
         type=cli.whole(1, 255),
         metavar="N",
-        help="the vehicle's system id (default: its health's, else 1)",
+        help="the vehicle's system id (default: the one that the belief tells)",
     )
     parser.add_argument(
         "--separation",

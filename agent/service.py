@@ -11,12 +11,11 @@ import numpy as np
 from agent import policies
 from agent.planning.moves import Reach
 from agent.together import choose_all
-from link.bus.keys import BELIEF, DEPARTURE, HEALTH, LATECOMER, STOP, WAYPOINT
+from link.bus.keys import BELIEF, DEPARTURE, LATECOMER, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, elapsed_ms, waypoint_message
 from link.bus.messages import (
     Belief,
     Departure,
-    Health,
     Latecomer,
     Particles,
     RoundReading,
@@ -68,16 +67,15 @@ def run(
 
     Of several vehicles, say again who has left or come late: an estimator that starts again learns of it.
 
-    system: the vehicle's MAVLink system id; None: the one that its health tells, and 1 until then. Those
-    of several come with the belief.
+    system: the vehicle's MAVLink system id; None: the one that comes with the belief. Those of several do.
     scripted: waypoints of one vehicle that replace the policy's, by the step of the belief they answer.
     separation_m: the least distance between the ways of several vehicles, m.
     """
     policies.policy(policy)  # loads or compiles the policy before the first belief arrives
     bus.subscribe(BELIEF, newest=True)
-    bus.subscribe(STOP, DEPARTURE, LATECOMER, *[HEALTH] * (system is None))
-    system = system or 1
-    codec = Codec(system, ONBOARD_COMPUTER)
+    bus.subscribe(STOP, DEPARTURE, LATECOMER)
+    told = system or 1
+    codec = Codec(told, ONBOARD_COMPUTER)
     bus.tally.about = policy
     bus.publish_health()
     bus.log.info(f"ready: {policy}")
@@ -88,15 +86,13 @@ def run(
         arrival: Arrival = bus.receive()
         if arrival.key is DEPARTURE or arrival.key is LATECOMER:
             _say_again(bus, arrival, said)
-        if arrival.name == HEALTH.named("uav"):
-            health = bus.decode(arrival, Health)
-            if health and health.system not in (0, system):
-                system, codec = health.system, Codec(health.system, ONBOARD_COMPUTER)
         received = _belief(bus, arrival, reach.area)
         if received is None:
             continue
         belief, particles = received
-        taken = belief.readings or (_alone(belief, system),)
+        if system is None and not belief.readings and told != (own := belief.system or 1):
+            told, codec = own, Codec(own, ONBOARD_COMPUTER)
+        taken = belief.readings or (_alone(belief, told),)
         later = 1 if answered is None else _later(answered, belief)
         if belief.ceased or belief.step >= budget or later < 0:
             continue

@@ -91,6 +91,8 @@ def run(
                     read_at[each.vehicle] = read_at.get(each.vehicle, [each.position])[0], each.position
                 summary = _of_all(summary, taken, known, doubted, read_at, roll.joining(rounds.number - 1))
                 summary = msgspec.structs.replace(summary, step=rounds.number - 1)
+            elif known[0] not in (None, 1):
+                summary = msgspec.structs.replace(summary, system=known[0])
             particles = pack_particles(array)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(summary.step)

@@ -36,6 +36,7 @@ NEWER_FIELDS = (
     "intermittency",
     "advised_dwell",
     "measured",
+    "system",
 )
 # Fields shown of a message that only one side has.
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}

@@ -27,6 +27,7 @@ Outside = Annotated[
 ]
 Particles = NDArray[np.float32]
 """(N, D + 1): a column for each unknown of the belief, by default x and y, then the weights, of sum 1."""
+System = Annotated[int, Meta(ge=1, le=255)]
 
 
 class RoundReading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -152,6 +153,10 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Meta(ge=0, description="how long to hover for a reading in such gas, s; 0: as long as now"),
     ] = 0.0
     # These are not said at all where there is nothing to say.
+    system: Annotated[
+        System | msgspec.UnsetType,
+        Meta(description="MAVLink system id of the vehicle; absent if it is 1, and with several vehicles"),
+    ] = msgspec.UNSET
     back: Annotated[
         Pair | msgspec.UnsetType,
         Meta(

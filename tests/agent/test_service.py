@@ -12,9 +12,9 @@ from msgspec.structs import replace
 from agent import service
 from agent.policies import reach
 from agent.together import choose_all
-from link.bus.keys import BELIEF, DEPARTURE, HEALTH
+from link.bus.keys import DEPARTURE
 from link.bus.mavlink import unpack
-from link.bus.messages import Belief, Departure, Health, RoundReading, unpack_particles
+from link.bus.messages import Belief, Departure, RoundReading, unpack_particles
 from link.bus.session import Arrival
 from tests.fuzz.services import BETWEEN, QuietBus, answered, belief_seeds, until_all_are_taken
 
@@ -66,22 +66,12 @@ def test_beliefs_across_the_wrap_of_the_vehicles_time_are_answered_in_order_and_
     assert told == [2**32 - 1200, 2**32 - 100, 1000, 2100]
 
 
-def test_an_agent_that_was_told_no_system_id_takes_the_one_of_the_vehicles_health_and_1_until_then() -> None:
-    payload, _, particles = said().partition(BETWEEN)
-    one = Arrival(BELIEF, payload, particles)
-
-    def health(service: str, system: int) -> Arrival:
-        status = Health(service, "searching", 0, 0.0, 1.0, {}, system=system)
-        return Arrival(HEALTH, msgspec.json.encode(status), b"", name=f"health/{service}")
-
-    bus = QuietBus(one, health("uav", 0), health("recorder", 9), one, health("uav", 32), one)
-    until_all_are_taken(lambda: service.run(bus, "homing", 3, 300, None, reach("homing")))
+def test_an_agent_that_was_told_no_system_id_takes_the_one_of_the_belief_and_1_if_it_tells_none() -> None:
+    told = said(system=32, step=1, time_boot_ms=2000)
+    bus = answered("homing", said(step=0, time_boot_ms=1000), told, told)
     waypoints = [message for _, answer, _ in bus.published for message in unpack(answer)]
-    assert [(waypoint.get_srcSystem(), waypoint.target_system) for waypoint in waypoints] == [
-        (1, 1),
-        (1, 1),
-        (32, 32),
-    ]
+    systems = [(waypoint.get_srcSystem(), waypoint.target_system) for waypoint in waypoints]
+    assert systems == [(1, 1), (32, 32), (32, 32)]
 
 
 def of_two(**changed: object) -> dict[str, object]:

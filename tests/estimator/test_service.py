@@ -1,5 +1,7 @@
 """Protects which vehicle an estimator listens to that was told no system id."""
 
+import msgspec
+
 from estimator import service
 from estimator.filter import Config
 from link.bus.keys import BELIEF, READING
@@ -29,3 +31,10 @@ def test_it_keeps_to_the_system_of_the_first_reading_that_it_takes_and_does_so_a
     assert [key for key, _, _ in bus.published] == [BELIEF, BELIEF]
     assert dict(bus.tally.refused) == {"outside": 1, "other vehicle": 1}
     assert estimated(*said).published == bus.published
+
+
+def test_its_beliefs_tell_the_agent_which_system_has_read_unless_it_is_the_first_one() -> None:
+    """So no waypoint waits for the health of the vehicle, which a busy router drops."""
+    for system, told in ((32, 32), (1, None)):
+        bus = estimated(reading(system, 1000), reading(system, 2000))
+        assert [msgspec.json.decode(said).get("system") for _, said, _ in bus.published] == [told, told]

@@ -201,7 +201,7 @@ def answered(policy: str, *messages: bytes) -> QuietBus:
     parts = [message.partition(BETWEEN) for message in messages]
     bus = QuietBus(*(Arrival(BELIEF, payload, attachment) for payload, _, attachment in parts))
     with contextlib.suppress(_End):
-        agent.run(bus, policy, 3, 300, 1, reach(policy))
+        agent.run(bus, policy, 3, 300, None, reach(policy))
     return bus
 
 
