@@ -8,7 +8,6 @@ if __name__ == "__main__":  # here, because the modules below take long to load
 import argparse
 import importlib
 import sys
-import traceback
 from concurrent.futures import BrokenExecutor
 from contextlib import redirect_stdout
 from types import ModuleType
@@ -177,8 +176,10 @@ def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> i
     except (cli.BadInput, NoRelease, BrokenFile) as error:
         return cli.failed(error, cli.BAD_INPUT)
     except (PolicyError, WorldError) as error:
-        if error.__cause__:
-            traceback.print_exception(error.__cause__)
+        for own in getattr(
+            error, "__notes__", ()
+        ):  # where somebody's policy or world failed, by its own code
+            print(own, file=sys.stderr)
         return cli.failed(error)
     except BrokenExecutor as error:  # of `train`, which judges by a sweep
         return cli.failed(f"{error}. Run the command again: it resumes")

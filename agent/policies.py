@@ -256,10 +256,12 @@ def choose(name: str, belief: Belief, particles: Particles, seed: int, within: R
         said: object = decide(belief, seen, within, keyed(seed, name, belief.step))
     except (Exception, SystemExit) as error:  # it may be anybody's code
         where = traceback.extract_tb(error.__traceback__)[-1]
-        raise PolicyError(
+        failure = PolicyError(
             f"policy {name} failed: {type(error).__name__}: {_short(str(error))} "
             f"({Path(where.filename).name}, line {where.lineno})"
-        ) from error
+        )
+        failure.add_note("".join(traceback.format_exception(error)).rstrip())
+        raise failure from error
     try:
         place = np.asarray(said, np.float64)
     except (TypeError, ValueError):

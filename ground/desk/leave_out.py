@@ -10,6 +10,7 @@ from link.bus.messages import Departure, Health, Latecomer, LeaveOut, departure_
 from link.bus.session import Arrival, Bus
 from link.terminal import printable
 
+REFUSED = f"refused {LEAVE_OUT.name}: "  # so the estimator begins, in its health, to say why
 ANSWER_S = 5.0  # longest time until the estimator says that the vehicle has left
 
 
@@ -57,13 +58,17 @@ def run(args: argparse.Namespace) -> int:
             raise cli.BadInput(
                 f"K: uav/{args.vehicle} is not there; wanted one of {', '.join(known) or 'several vehicles'}"
             )
-        bus.subscribe(LATECOMER if args.late else DEPARTURE)
+        refused = max((_refusals(health) for health in said if health), default=0)
+        bus.subscribe(LATECOMER if args.late else DEPARTURE, HEALTH)
         bus.publish(LEAVE_OUT, LeaveOut(args.vehicle, "left out by an operator", args.late))
         until_s = time.monotonic() + ANSWER_S
         while (left_s := until_s - time.monotonic()) > 0:
-            if answer := _answer(bus, bus.receive(left_s), args.vehicle):
+            item = bus.receive(left_s)
+            if answer := _answer(bus, item, args.vehicle):
                 print(answer)
                 return 0
+            if why := _refusal(bus, item, refused):
+                return cli.failed(f"the estimator has {why}")
     return cli.failed(f"the estimator has not obeyed within {ANSWER_S:g} s; its log says why")
 
 
@@ -76,3 +81,16 @@ def _answer(bus: Bus, item: object, vehicle: int) -> str:
         return latecomer_text(late) if late and late.vehicle == vehicle else ""
     left = bus.decode(item, Departure) if item.key is DEPARTURE else None
     return departure_text(left) if left and left.vehicle == vehicle else ""
+
+
+def _refusal(bus: Bus, item: object, before: int) -> str:
+    """Return in words that the estimator has refused more orders than before, if this says so."""
+    if not isinstance(item, Arrival) or item.name != HEALTH.named("estimator"):
+        return ""
+    health = bus.decode(item, Health)
+    is_ours = health and _refusals(health) > before and health.last_error.startswith(REFUSED)
+    return printable(health.last_error) if health and is_ours else ""
+
+
+def _refusals(health: Health) -> int:
+    return health.refused.get("order", 0)

@@ -378,7 +378,9 @@ def _failure(name: str, chosen: Named, error: BaseException) -> WorldError:
     if isinstance(error, ValueError) and chosen.make.__module__.startswith("plume."):
         return BrokenFile(str(error))
     where = traceback.extract_tb(error.__traceback__)[-1]
-    return WorldError(
+    failure = WorldError(
         f"world {name} failed: {type(error).__name__}: {' '.join(str(error).split())[:200]} "
         f"({Path(where.filename).name}, line {where.lineno})"
     )
+    failure.add_note("".join(traceback.format_exception(error)).rstrip())
+    return failure

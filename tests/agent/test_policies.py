@@ -427,7 +427,9 @@ def test_a_decision_that_raises_is_told_with_its_place(plug: Plug, seen: tuple[B
 
 def test_a_decision_that_ends_the_program_has_failed(plug: Plug, seen: tuple[Belief, Particles]) -> None:
     module = plug("def theirs(belief, particles, reach, rng): raise SystemExit(0)")
-    with pytest.raises(PolicyError, match=rf"^policy theirs failed: SystemExit: 0 \({module}\.py, line 1\)$"):
+    with pytest.raises(
+        PolicyError, match=rf"(?m)^policy theirs failed: SystemExit: 0 \({module}\.py, line 1\)$"
+    ):
         choose("theirs", *seen, 0, Reach())
 
 
@@ -620,6 +622,32 @@ def test_what_a_policy_prints_goes_to_stderr_and_leaves_the_json_alone(
     assert isinstance(json.loads(out), dict)
     assert "I load\n" in err
     assert err.count("I decide\n") == 2
+
+
+@pytest.mark.parametrize(
+    ("said", "tracebacks", "words"),
+    [
+        ('float("nan"), 4.0', 0, "said (nan, 4.0); wanted a waypoint (x, y) in metres"),
+        ("1 / 0, 4.0", 1, "failed: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_policy_that_fails_in_a_worker_is_one_line_and_shows_its_own_code_if_that_raised(
+    plug: Plug,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    said: str,
+    tracebacks: int,
+    words: str,
+) -> None:
+    plug(f"def theirs(*_):\n    return {said}\n")
+    monkeypatch.chdir(tmp_path)
+    flags = ("--policy", "theirs", "--particles", "50", "--budget", "2", "--workers", "1")
+    assert main(arguments=["evaluate", "--scenarios", "1", *flags]) == 1
+    err = capfd.readouterr().err
+    assert f"error: policy theirs {words}" in err.splitlines()[-1]
+    assert err.count("Traceback") == tracebacks
+    assert "_process_worker" not in err  # where the worker called it
 
 
 @pytest.mark.full

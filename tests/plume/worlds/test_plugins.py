@@ -169,7 +169,7 @@ def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(
         WorldError,
-        match=r"^world broken failed: ZeroDivisionError: division by zero "
+        match=r"(?m)^world broken failed: ZeroDivisionError: division by zero "
         r"\(badworlds\.py, line 4\)$",
     ):
         World(draw(1), 1, name="broken").gas((1.0, 2.0), 0)
@@ -189,7 +189,9 @@ def test_a_plug_in_that_fails_or_says_what_no_air_can_say_is_named(
     with pytest.raises(ValueError, match=r"^world 'leaving' is not allowed: SystemExit: 3$"):
         named("leaving")
     elsewhere = msgspec.structs.replace(draw(1), source=(3.0, 4.0))
-    with pytest.raises(WorldError, match=r"^world choosy failed: SystemExit: 3 \(badworlds\.py, line \d+\)$"):
+    with pytest.raises(
+        WorldError, match=r"(?m)^world choosy failed: SystemExit: 3 \(badworlds\.py, line \d+\)$"
+    ):
         World(elsewhere, 1, name="choosy")
     assert worlds()["gone"].startswith("world gone of badworlds:gone does not load")
 
