@@ -176,10 +176,8 @@ def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> i
     except (cli.BadInput, NoRelease, BrokenFile) as error:
         return cli.failed(error, cli.BAD_INPUT)
     except (PolicyError, WorldError) as error:
-        for own in getattr(
-            error, "__notes__", ()
-        ):  # where somebody's policy or world failed, by its own code
-            print(own, file=sys.stderr)
+        for note in getattr(error, "__notes__", ()):  # the traceback of somebody's policy or world
+            print(note, file=sys.stderr)
         return cli.failed(error)
     except BrokenExecutor as error:  # of `train`, which judges by a sweep
         return cli.failed(f"{error}. Run the command again: it resumes")
