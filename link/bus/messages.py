@@ -34,7 +34,7 @@ class RoundReading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One reading of a round, of a vehicle that searches together with others."""
 
     vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle in the search, from 1")]
-    system: Annotated[int, Meta(ge=1, le=255, description="MAVLink system id of the vehicle")]
+    system: Annotated[System, Meta(description="MAVLink system id of the vehicle")]
     time_boot_ms: Annotated[int, Meta(ge=0, le=MOST, description="time_boot_ms of its reading")]
     position: Annotated[Pair, Meta(description="where it was taken: (x, y) m")]
     altitude_m: Annotated[float, Meta(description="height above home at which it was taken, m")]
