@@ -177,7 +177,8 @@ def check(belief: Belief, area: Area) -> None:
     if not len(names) == len(belief.means) == len(belief.stds):
         raise ValueError(f"{len(belief.means)} means and {len(belief.stds)} stds of {len(names)} unknowns")
     _check_readings(belief)
-    for position in (belief.position, *(each.position for each in belief.readings or ()), *_left(belief)):
+    read_at = (each.position for each in belief.readings or ())
+    for position in (belief.position, *read_at, *(belief.stands or ()), *_left(belief)):
         if not area.holds(position):
             raise ValueError(f"position {position} is outside the area {area.text}")
     positive = belief.rate, belief.diffusivity, belief.lifetime
@@ -223,5 +224,7 @@ def _check_readings(belief: Belief) -> None:
             f"the readings of a round are of vehicles {' '.join(map(str, numbers))}; wanted each once, in "
             f"their order, up to {MOST_VEHICLES}"
         )
+    if belief.stands is not msgspec.UNSET and len(belief.stands) != len(readings):
+        raise ValueError(f"{len(belief.stands)} stands of {len(readings)} vehicles in a round")
     if readings and readings[-1].time_boot_ms != belief.time_boot_ms:
         raise ValueError("the time of a belief is not that of the last reading of its round")

@@ -39,7 +39,7 @@ def choose_all(
         seen = seen_by(belief, places[vehicle], gases[vehicle], numbers[vehicle])
         return choose(name, seen, particles, seed_of(seed, numbers[vehicle]), reach)
 
-    return in_turn(within, places, separation_m, decide, left_at)
+    return in_turn(within, places, separation_m, decide, left_at, belief.stands or ())
 
 
 def in_turn(
@@ -48,17 +48,21 @@ def in_turn(
     separation_m: float,
     decide: Callable[[int, Shared], Place],
     left_at: Sequence[Place] = (),
+    stands: Sequence[Place] = (),
 ) -> list[Place]:
     """Let each vehicle decide on its next place, one after the other; returns where they may go.
 
     decide: of a vehicle, from 0, and its moves. A way that is too near to another's is turned aside, or the
-    vehicle stays where it is.  left_at: near which places those may be that have left.
+    vehicle stays where it is.  left_at: near which places those may be that have left.  stands: where each
+    comes back to, from which the others keep the separation, too; empty if that is not known.
     """
-    here, hovering = np.array(places, np.float64), np.array(left_at, np.float64).reshape(-1, 2)
+    here = np.array(places, np.float64)
+    hovering, homes = (np.array(there, np.float64).reshape(-1, 2) for there in (left_at, stands))
     chosen: list[Place] = []
     for vehicle, place in enumerate(places):
         ways = np.stack([here[:vehicle], np.array(chosen, np.float64).reshape(-1, 2)], axis=1)
-        reach = Shared.of(within, ways, here[vehicle + 1 :], separation_m, hovering)
+        of_others = np.delete(homes, vehicle, axis=0) if len(homes) else homes
+        reach = Shared.of(within, ways, here[vehicle + 1 :], separation_m, hovering, of_others)
         chosen.append(reach.freed(place, decide(vehicle, reach)))
     return chosen
 

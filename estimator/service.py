@@ -176,6 +176,7 @@ def _of_all(
     return msgspec.structs.replace(
         said,
         readings=readings,
+        stands=tuple(read_at[each.vehicle][0] for each in taken),
         doubted=tuple(doubted) if doubted else msgspec.UNSET,
         left_at=left_at(read_at, [each.vehicle for each in taken], joining),
     )

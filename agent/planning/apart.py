@@ -23,7 +23,8 @@ class Shared(Reach):
     A way is the straight line from a place to the next one. Ways keep their distance as lines, whenever each
     vehicle flies its own: a late vehicle is as safe as one on time. The ways of vehicles that have not chosen
     yet end where they begin, so everyone can always stay where it is. Those that have left may hover: who is
-    near them goes away.
+    near them goes away. Nobody comes near to another's stand: it may come back, and where someone lands nobody
+    else has to.
     """
 
     chosen: Array = field(
@@ -33,16 +34,24 @@ class Shared(Reach):
     separation_m: float = SEPARATION_M
     hovering: Array = field(default_factory=lambda: np.empty((0, 2)), compare=False)  # (H, 2) m, near these
     clear_m: float = 0.0  # least distance of ways from those, unless they begin nearer and lead away
+    stands: Array = field(default_factory=lambda: np.empty((0, 2)), compare=False)  # (S, 2) m, of the others
     # A fleet saves rounds, not metres: with shorter moves it would need more of them (docs/fleet.md).
     FINE: ClassVar[float] = 1 / 30
 
     @classmethod
     def of(
-        cls, reach: Reach, chosen: Array, waiting: Array, separation_m: float, hovering: Array = NOWHERE
+        cls,
+        reach: Reach,
+        chosen: Array,
+        waiting: Array,
+        separation_m: float,
+        hovering: Array = NOWHERE,
+        stands: Array = NOWHERE,
     ) -> "Shared":
         """Return `reach` for a vehicle whose turn it is.
 
-        hovering: (H, 2) m where those have read that have left: each is at most a step from there.
+        hovering: (H, 2) m where those have read that have left: each is at most a step from there.  stands:
+        (S, 2) m, where the others come back to.
         """
         given = {name: getattr(reach, name) for name in OF_REACH}
         clear_m = separation_m + reach.step
@@ -53,6 +62,7 @@ class Shared(Reach):
             separation_m=separation_m,
             hovering=hovering,
             clear_m=clear_m,
+            stands=stands,
         )
 
     def moves(self, position: tuple[float, float]) -> Array:
@@ -64,25 +74,13 @@ class Shared(Reach):
     def are_free(self, position: tuple[float, float], places: Array) -> NDArray[np.bool_]:
         """Whether the ways from a position to places (A, 2) m are free and keep the separation: (A,)."""
         free = super().are_free(position, places)
-        if len(self.hovering):
-            free = free & self._are_clear_of_those_that_left(position, places)
+        for there, clear_m in ((self.hovering, self.clear_m), (self.stands, self.separation_m)):
+            if len(there):
+                free = free & _keep_clear(position, places, there, clear_m)
         if not len(others := self._near(np.asarray(position), places)):
             return free
         apart = gaps(ways_from(position, places)[:, None], others) >= self.separation_m
         return np.asarray(apart.all(axis=1) & free)
-
-    def _are_clear_of_those_that_left(
-        self, position: tuple[float, float], places: Array
-    ) -> NDArray[np.bool_]:
-        """Whether ways from a position to places (A, 2) m keep clear of those that have left: (A,).
-
-        A way that begins too near to one has to lead away from it.
-        """
-        there = np.repeat(self.hovering[:, None], 2, axis=1)
-        clear = gaps(ways_from(position, places)[:, None], there) >= self.clear_m
-        now, then = lengths(self.hovering - position), lengths(self.hovering - places[:, None])
-        away = then >= now + AWAY * lengths(places - position)[:, None]
-        return np.asarray((clear | (now < self.clear_m) & away).all(axis=1))
 
     def _near(self, position: Array, places: Array) -> Array:
         """Return those of the others' ways that may be too near to one from a position to places (A, 2) m."""
@@ -96,3 +94,20 @@ class Shared(Reach):
         """Return where those who have chosen will be so many steps on, if they go straight on: (F, 2) m."""
         start, end = self.chosen[:, 0], self.chosen[:, 1]
         return self.area.clipped(start + steps * (end - start))
+
+
+def _keep_clear(
+    position: tuple[float, float], places: Array, there: Array, clear_m: float
+) -> NDArray[np.bool_]:
+    """Whether ways from a position to places (A, 2) m stay so far from `there` (H, 2): (A,).
+
+    A way that begins nearer to one of those has to lead away from it.
+    """
+    longest = lengths(places - position).max(initial=0.0)
+    there = there[lengths(there - position) < longest + 1.001 * clear_m]  # further ones change nothing
+    if not len(there):
+        return np.ones(len(places), np.bool_)
+    clear = gaps(ways_from(position, places)[:, None], np.repeat(there[:, None], 2, axis=1)) >= clear_m
+    now, then = lengths(there - position), lengths(there - places[:, None])
+    away = then >= now + AWAY * lengths(places - position)[:, None]
+    return np.asarray((clear | (now < clear_m) & away).all(axis=1))

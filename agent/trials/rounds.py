@@ -104,6 +104,9 @@ class Rounds:
         }
         away = left_at(self._read_at, self.numbers, stand)
         said = msgspec.structs.replace(said, step=round_number, left_at=away)
+        if len(self._time.places) > 1:
+            stands = tuple(self._read_at[number][0] for number in self.numbers)
+            said = msgspec.structs.replace(said, stands=stands)
         return Round(readings, said, particles, self._posterior, time.process_time() - began)
 
     def _joins(self, vehicle: int) -> int:

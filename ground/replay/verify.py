@@ -37,6 +37,7 @@ NEWER_FIELDS = (
     "advised_dwell",
     "measured",
     "system",
+    "stands",
 )
 # Fields shown of a message that only one side has.
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}

@@ -178,6 +178,13 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "part in it, in their order; absent with one vehicle"
         ),
     ] = msgspec.UNSET
+    stands: Annotated[
+        tuple[Pair, ...] | msgspec.UnsetType,
+        Meta(
+            description="of a search by several vehicles: where each of the round has read first, (x, y) m, "
+            "in their order: it comes back there; absent with one vehicle"
+        ),
+    ] = msgspec.UNSET
     doubted: Annotated[
         tuple[int, ...] | msgspec.UnsetType,
         Meta(

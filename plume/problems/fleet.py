@@ -23,7 +23,8 @@ FORMATIONS = {
     "corners": "in different corners, then at the middles of the edges",
 }
 START_SIDE = 1 / 6  # of the rectangle in which a start is drawn, as a part of the area's sides: Table 1
-PADS = 1.1  # distance of pads beside each other, in separations
+# Distance of pads beside each other, in separations: one can pass between two of them as far from both.
+PADS = 2.2
 MOST_PADS = 20  # a start that is not free is moved by so many of them at most, along x and y
 # Where vehicles start from different corners, as shares of the way across; the first is Table 1's.
 CORNERS = ((0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.0), (0.5, 1.0), (0.0, 0.5), (1.0, 0.5))

@@ -10,8 +10,9 @@ import pytest
 from msgspec.structs import replace
 
 from agent import service
+from agent.planning.apart import Shared
 from agent.policies import reach
-from agent.together import choose_all
+from agent.together import choose_all, in_turn
 from link.bus.keys import DEPARTURE
 from link.bus.mavlink import unpack
 from link.bus.messages import Belief, Departure, RoundReading, unpack_particles
@@ -128,6 +129,33 @@ def test_a_round_that_no_estimator_can_mean_is_refused(changed: dict[str, object
     bus = answered("homing", said(**of_two(**changed)), said(**of_two()))
     assert reason in bus.tally.last_error
     assert len(bus.published) == 1
+
+
+@pytest.mark.parametrize(
+    ("stands", "reason"),
+    [
+        ([[3.0, 4.0]], "1 stands of 2 vehicles in a round"),
+        ([[3.0, 4.0], [9.0, 41.0]], "position (9.0, 41.0) is outside the area"),
+    ],
+)
+def test_stands_that_no_estimator_can_mean_are_refused(stands: list[list[float]], reason: str) -> None:
+    bus = answered("homing", said(**of_two(), stands=stands), said(**of_two(), stands=[[3.0, 4.0]] * 2))
+    assert reason in bus.tally.last_error
+    assert len(bus.published) == 1
+
+
+def test_the_stand_of_each_vehicle_is_closed_to_the_other_and_open_to_itself() -> None:
+    """Both head for (9, 4), where the second stands: from 3.5 m west of it, and from 3.6 m east."""
+    places = [(5.5, 4.0), (12.6, 4.0)]
+
+    def towards_the_stand(vehicle: int, moves: Shared) -> tuple[float, float]:
+        return min(moves.moves(places[vehicle]).tolist(), key=lambda place: math.dist(place, (9.0, 4.0)))
+
+    first, second = in_turn(
+        reach("homing"), places, 3.0, towards_the_stand, stands=[(1.0, 4.0), (9.0, 4.0)]
+    )
+    assert math.dist(first, (9.0, 4.0)) >= 3.0
+    assert second == pytest.approx((11.6, 4.0), abs=1e-5)
 
 
 def test_who_has_left_is_said_again_once_with_the_readings_for_an_estimator_that_starts_again() -> None:

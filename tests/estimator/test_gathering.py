@@ -380,6 +380,14 @@ def test_the_others_begin_without_one_that_comes_late_and_it_joins_them() -> Non
     assert said(bus)[-1].mean == belief(posterior, taken(3, 0), CONFIG)[0].mean
 
 
+def test_a_belief_says_where_each_of_its_round_has_read_first() -> None:
+    stands = {vehicle: taken(vehicle, 0).position for vehicle in (1, 2, 3)}
+    told = [each.stands for each in said(estimated(3, *JOINING))]
+    assert told == [(stands[1], stands[2])] * 3 + [tuple(stands.values())]
+    left = said(estimated(2, *IN_ORDER[:2], left_out(1), *IN_ORDER[2:]))
+    assert [each.stands for each in left][:2] == [(stands[1], stands[2]), (stands[2],)]
+
+
 def test_the_others_are_told_to_keep_clear_of_where_it_takes_off_until_it_reads() -> None:
     away = [each.left_at for each in said(estimated(3, *JOINING))]
     assert away == [msgspec.UNSET, msgspec.UNSET, (LeftAt(3, STAND, STAND),), msgspec.UNSET]

@@ -108,3 +108,13 @@ def test_who_is_near_one_that_has_left_goes_away_from_it_or_stays() -> None:
     assert after_leaving((10.0, 5.0)).are_free((13.5, 5.0), np.array([[13.5, 5.0]])).all()
     between = after_leaving((10.0, 5.0), (16.0, 5.0))
     assert between.moves((13.0, 5.0)).tolist() == [[13.0, 5.0]]
+
+
+def test_ways_keep_the_separation_from_the_stands_of_the_others() -> None:
+    nobody = np.empty((0, 2))
+    stand = np.array([[9.0, 5.0]])
+    reach = Shared.of(Reach(headings=8), nobody.reshape(0, 2, 2), nobody, 3.0, stands=stand)
+    assert reach.are_free((5.0, 5.0), np.array([[6.0, 5.0], [6.01, 5.0]])).tolist() == [True, False]
+    inside = reach.moves((7.0, 5.0)).tolist()  # 2 m away: it leaves, no more than 45° aside
+    assert [6.0, 5.0] in inside
+    assert not any(place[0] > 7.0 for place in inside)

@@ -4,7 +4,7 @@ import json
 import math
 import subprocess
 import sys
-from itertools import combinations, pairwise, product
+from itertools import combinations, pairwise, permutations, product
 
 import numpy as np
 import pytest
@@ -117,6 +117,20 @@ def test_the_others_keep_clear_of_where_one_has_left() -> None:
             way = np.array([before[vehicle], after[vehicle]])
             least_m = float(gaps(way, np.array([there, there])))
             assert least_m >= min(4.0, math.dist(before[vehicle], there)) - 1e-6
+
+
+@pytest.mark.parametrize("policy", ["homing", "thompson", "ppo"])
+def test_nobody_comes_nearer_to_anothers_stand_than_the_separation(policy: str) -> None:
+    """From a point, where they stand beside each other, and one may still fly between two others."""
+    nearest_m = math.inf
+    for seed in range(4):
+        flown = mission(seed, policy, 100, 0.01, 25, fleet=Fleet(5, "point"), assume="field")
+        places = [[reading.position for reading in step.readings] for step in flown.steps]
+        for before, after in pairwise(places):
+            for one, other in permutations(range(5), 2):
+                way = np.array([before[one], after[one]])
+                nearest_m = min(nearest_m, float(gaps(way, np.array([places[0][other]] * 2))))
+    assert 3 <= nearest_m < 4.5
 
 
 def test_one_that_joins_late_reads_at_its_start_from_its_round_on_and_the_others_keep_clear_of_it() -> None:
