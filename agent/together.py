@@ -1,6 +1,7 @@
 """A fleet's next places: each vehicle chooses, given where those before it go and what they may read."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -63,6 +64,8 @@ def in_turn(
         ways = np.stack([here[:vehicle], np.array(chosen, np.float64).reshape(-1, 2)], axis=1)
         of_others = np.delete(homes, vehicle, axis=0) if len(homes) else homes
         reach = Shared.of(within, ways, here[vehicle + 1 :], separation_m, hovering, of_others)
+        if len(hovering) and reach.moves(place).tolist() == [[*place]]:
+            reach = replace(reach, away=0.0)  # it is hemmed in, and leaves as well as it can
         chosen.append(reach.freed(place, decide(vehicle, reach)))
     return chosen
 

@@ -12,7 +12,6 @@ from plume.polygons.polygons import gaps
 from plume.scenario import SEPARATION_M
 
 NOWHERE: Array = np.empty((0, 2))
-AWAY = 0.7  # m by which a way has to lead away for each metre of it: no more than 45° aside
 OF_REACH = tuple(each.name for each in fields(Reach))
 
 
@@ -23,8 +22,8 @@ class Shared(Reach):
     A way is the straight line from a place to the next one. Ways keep their distance as lines, whenever each
     vehicle flies its own: a late vehicle is as safe as one on time. The ways of vehicles that have not chosen
     yet end where they begin, so everyone can always stay where it is. Those that have left may hover: who is
-    near them goes away. Nobody comes near to another's stand: it may come back, and where someone lands nobody
-    else has to.
+    near them goes away. Nobody comes near to another's stand: that one may come back, and who has to land
+    where it is has not landed there.
     """
 
     chosen: Array = field(
@@ -35,6 +34,8 @@ class Shared(Reach):
     hovering: Array = field(default_factory=lambda: np.empty((0, 2)), compare=False)  # (H, 2) m, near these
     clear_m: float = 0.0  # least distance of ways from those, unless they begin nearer and lead away
     stands: Array = field(default_factory=lambda: np.empty((0, 2)), compare=False)  # (S, 2) m, of the others
+    # Metres by which a way that begins too near leads away for each metre of it: no more than 45° aside.
+    away: float = 0.7
     # A fleet saves rounds, not metres: with shorter moves it would need more of them (docs/fleet.md).
     FINE: ClassVar[float] = 1 / 30
 
@@ -76,11 +77,27 @@ class Shared(Reach):
         free = super().are_free(position, places)
         for there, clear_m in ((self.hovering, self.clear_m), (self.stands, self.separation_m)):
             if len(there):
-                free = free & _keep_clear(position, places, there, clear_m)
+                free = free & self._keep_clear(position, places, there, clear_m)
         if not len(others := self._near(np.asarray(position), places)):
             return free
         apart = gaps(ways_from(position, places)[:, None], others) >= self.separation_m
         return np.asarray(apart.all(axis=1) & free)
+
+    def _keep_clear(
+        self, position: tuple[float, float], places: Array, there: Array, clear_m: float
+    ) -> NDArray[np.bool_]:
+        """Whether ways from a position to places (A, 2) m stay so far from `there` (H, 2): (A,).
+
+        A way that begins nearer to one of those has to lead away from it.
+        """
+        flown = lengths(places - position)
+        there = there[lengths(there - position) < flown.max(initial=0.0) + 1.001 * clear_m]
+        if not len(there):
+            return np.ones(len(places), np.bool_)
+        clear = gaps(ways_from(position, places)[:, None], np.repeat(there[:, None], 2, axis=1)) >= clear_m
+        now, then = lengths(there - position), lengths(there - places[:, None])
+        leads_away = then >= now + self.away * flown[:, None]
+        return np.asarray((clear | (now < clear_m) & leads_away).all(axis=1))
 
     def _near(self, position: Array, places: Array) -> Array:
         """Return those of the others' ways that may be too near to one from a position to places (A, 2) m."""
@@ -94,20 +111,3 @@ class Shared(Reach):
         """Return where those who have chosen will be so many steps on, if they go straight on: (F, 2) m."""
         start, end = self.chosen[:, 0], self.chosen[:, 1]
         return self.area.clipped(start + steps * (end - start))
-
-
-def _keep_clear(
-    position: tuple[float, float], places: Array, there: Array, clear_m: float
-) -> NDArray[np.bool_]:
-    """Whether ways from a position to places (A, 2) m stay so far from `there` (H, 2): (A,).
-
-    A way that begins nearer to one of those has to lead away from it.
-    """
-    longest = lengths(places - position).max(initial=0.0)
-    there = there[lengths(there - position) < longest + 1.001 * clear_m]  # further ones change nothing
-    if not len(there):
-        return np.ones(len(places), np.bool_)
-    clear = gaps(ways_from(position, places)[:, None], np.repeat(there[:, None], 2, axis=1)) >= clear_m
-    now, then = lengths(there - position), lengths(there - places[:, None])
-    away = then >= now + AWAY * lengths(places - position)[:, None]
-    return np.asarray((clear | (now < clear_m) & away).all(axis=1))

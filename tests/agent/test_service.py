@@ -151,11 +151,23 @@ def test_the_stand_of_each_vehicle_is_closed_to_the_other_and_open_to_itself() -
     def towards_the_stand(vehicle: int, moves: Shared) -> tuple[float, float]:
         return min(moves.moves(places[vehicle]).tolist(), key=lambda place: math.dist(place, (9.0, 4.0)))
 
-    first, second = in_turn(
-        reach("homing"), places, 3.0, towards_the_stand, stands=[(1.0, 4.0), (9.0, 4.0)]
-    )
+    first, second = in_turn(reach("homing"), places, 3.0, towards_the_stand, stands=[(1.0, 4.0), (9.0, 4.0)])
     assert math.dist(first, (9.0, 4.0)) >= 3.0
     assert second == pytest.approx((11.6, 4.0), abs=1e-5)
+
+
+def test_who_is_hemmed_in_between_a_stand_and_one_that_has_left_flies_on_between_them() -> None:
+    """3.3 m from both no way leads away from the one without coming nearer than 3 m to the other."""
+    moves: list[list[float]] = []
+
+    def east(vehicle: int, free: Shared) -> tuple[float, float]:
+        moves.extend(sorted(free.moves((10.0, 8.3)).tolist()))
+        return 11.0, 8.3
+
+    places, stands = [(10.0, 8.3), (25.0, 25.0)], [(1.0, 1.0), (10.0, 11.6)]
+    first, _ = in_turn(reach("homing"), places, 3.0, east, [(10.0, 5.0)], stands)
+    assert moves[:2] == [pytest.approx([9.0, 8.3]), pytest.approx([11.0, 8.3])]
+    assert first == (11.0, 8.3)
 
 
 def test_who_has_left_is_said_again_once_with_the_readings_for_an_estimator_that_starts_again() -> None:
