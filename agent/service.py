@@ -178,7 +178,8 @@ def check(belief: Belief, area: Area) -> None:
         raise ValueError(f"{len(belief.means)} means and {len(belief.stds)} stds of {len(names)} unknowns")
     _check_readings(belief)
     read_at = (each.position for each in belief.readings or ())
-    for position in (belief.position, *read_at, *(belief.stands or ()), *_left(belief)):
+    stands = (each.place for each in belief.stands or ())
+    for position in (belief.position, *read_at, *stands, *_left(belief)):
         if not area.holds(position):
             raise ValueError(f"position {position} is outside the area {area.text}")
     positive = belief.rate, belief.diffusivity, belief.lifetime
@@ -224,7 +225,9 @@ def _check_readings(belief: Belief) -> None:
             f"the readings of a round are of vehicles {' '.join(map(str, numbers))}; wanted each once, in "
             f"their order, up to {MOST_VEHICLES}"
         )
-    if belief.stands is not msgspec.UNSET and len(belief.stands) != len(readings):
-        raise ValueError(f"{len(belief.stands)} stands of {len(readings)} vehicles in a round")
+    standing = [each.vehicle for each in belief.stands or ()]
+    if belief.stands is not msgspec.UNSET and standing != numbers:
+        said, wanted = (" ".join(map(str, each)) for each in (standing, numbers))
+        raise ValueError(f"the stands of a round are of vehicles {said}; wanted {wanted}, as the readings")
     if readings and readings[-1].time_boot_ms != belief.time_boot_ms:
         raise ValueError("the time of a belief is not that of the last reading of its round")

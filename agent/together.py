@@ -40,7 +40,8 @@ def choose_all(
         seen = seen_by(belief, places[vehicle], gases[vehicle], numbers[vehicle])
         return choose(name, seen, particles, seed_of(seed, numbers[vehicle]), reach)
 
-    return in_turn(within, places, separation_m, decide, left_at, belief.stands or ())
+    stands = [each.place for each in belief.stands or ()]
+    return in_turn(within, places, separation_m, decide, left_at, stands)
 
 
 def in_turn(

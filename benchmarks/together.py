@@ -120,7 +120,7 @@ def _told(seed: int, cell: Cell) -> Flown:
         return x, y
 
     while not flown.belief.ceased and flown.belief.step < BUDGET_STEPS:
-        stands = flown.belief.stands or ()
+        stands = [each.place for each in flown.belief.stands or ()]
         flown = rounds.fly(in_turn(within, rounds.places, fleet.separation_m, decide, stands=stands))
     said = flown.belief
     ended = verdict(said.ceased, said.mean, world.truth.source, said.outside)

@@ -14,7 +14,7 @@ from estimator.roll import OVERDUE_S, Roll
 from estimator.watch import SensorWatch
 from link.bus.keys import BELIEF, READING, STOP
 from link.bus.mavlink import BadFrame, Reading, split, unpack_reading
-from link.bus.messages import Belief, RoundReading, pack_particles
+from link.bus.messages import Belief, RoundReading, Stand, pack_particles
 from link.bus.session import Bus
 from link.bus.tally import REPEATED
 from plume.problems.fleet import Place
@@ -176,7 +176,7 @@ def _of_all(
     return msgspec.structs.replace(
         said,
         readings=readings,
-        stands=tuple(read_at[each.vehicle][0] for each in taken),
+        stands=tuple(Stand(each.vehicle, read_at[each.vehicle][0]) for each in taken),
         doubted=tuple(doubted) if doubted else msgspec.UNSET,
         left_at=left_at(read_at, [each.vehicle for each in taken], joining),
     )

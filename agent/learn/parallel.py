@@ -131,7 +131,7 @@ class SourceSearchParallel(ParallelEnv):  # type: ignore[misc]  # PettingZoo has
             x, y = self.searching.move.waypoints(here, frame, checked[vehicle], area, longest)[0].tolist()
             return x, y
 
-        stands = self._round.belief.stands or ()
+        stands = [each.place for each in self._round.belief.stands or ()]
         chosen = in_turn(Reach(area=area), places, self.fleet.separation_m, waypoint, stands=stands)
         for vehicle, (start, end) in enumerate(zip(places, chosen, strict=True)):
             self._distances_m[vehicle] += math.dist(start, end)

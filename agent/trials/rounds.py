@@ -11,7 +11,7 @@ import msgspec
 from estimator.belief import belief, left_at
 from estimator.filter import Config, Posterior, assimilate, forget, prior
 from link.bus.mavlink import Reading
-from link.bus.messages import Belief, Particles
+from link.bus.messages import Belief, Particles, Stand
 from plume.problems.fleet import Place
 from plume.worlds.exposure import Before
 from plume.worlds.rounds import RoundTime
@@ -105,7 +105,7 @@ class Rounds:
         away = left_at(self._read_at, self.numbers, stand)
         said = msgspec.structs.replace(said, step=round_number, left_at=away)
         if len(self._time.places) > 1:
-            stands = tuple(self._read_at[number][0] for number in self.numbers)
+            stands = tuple(Stand(number, self._read_at[number][0]) for number in self.numbers)
             said = msgspec.structs.replace(said, stands=stands)
         return Round(readings, said, particles, self._posterior, time.process_time() - began)
 

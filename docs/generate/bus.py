@@ -11,7 +11,7 @@ import msgspec
 from link.access.roles import MOST_SEARCHES, MOST_VEHICLES, OF_A_SEARCH, OF_ALL_VEHICLES, SERVICES
 from link.bus.inbox import MOST_OTHERS, WAITING_BYTES, WAITING_MESSAGES
 from link.bus.keys import BELIEF, HEALTH, KEYS, OF_A_VEHICLE, Key
-from link.bus.messages import Contribution, LeftAt, RoundReading, Stop
+from link.bus.messages import Contribution, LeftAt, RoundReading, Stand, Stop
 from link.bus.opening import DEFAULT_ROUTER
 
 HEAD = f"""# The bus
@@ -295,7 +295,7 @@ itself on the bus.
 def bus_document() -> str:
     """Return the whole page."""
     kinds = [key.payload for key in KEYS if not isinstance(key.payload, str)]
-    kinds[1:1] = RoundReading, LeftAt  # in a belief
+    kinds[1:1] = RoundReading, Stand, LeftAt  # in a belief
     kinds.insert(kinds.index(Stop) + 1, Contribution)
     messages = [_message(kind) for kind in kinds]
     return (

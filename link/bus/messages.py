@@ -41,6 +41,13 @@ class RoundReading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gas: Annotated[float, Meta(description="the gas reading, in the sensor's unit")]
 
 
+class Stand(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where a vehicle of a search by several comes back to."""
+
+    vehicle: Annotated[int, Meta(ge=1, le=64, description="number of the vehicle in the search, from 1")]
+    place: Annotated[Pair, Meta(description="where it has read first, (x, y) m")]
+
+
 class LeftAt(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Where a vehicle may be that takes no part in a search by several: it has left, or is about to join.
 
@@ -179,10 +186,10 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = msgspec.UNSET
     stands: Annotated[
-        tuple[Pair, ...] | msgspec.UnsetType,
+        tuple[Stand, ...] | msgspec.UnsetType,
         Meta(
-            description="of a search by several vehicles: where each of the round has read first, (x, y) m, "
-            "in their order: it comes back there; absent with one vehicle"
+            description="of a search by several vehicles: where each of the round has read first, in their "
+            "order: it comes back there; absent with one vehicle"
         ),
     ] = msgspec.UNSET
     doubted: Annotated[

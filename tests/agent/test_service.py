@@ -134,12 +134,17 @@ def test_a_round_that_no_estimator_can_mean_is_refused(changed: dict[str, object
 @pytest.mark.parametrize(
     ("stands", "reason"),
     [
-        ([[3.0, 4.0]], "1 stands of 2 vehicles in a round"),
-        ([[3.0, 4.0], [9.0, 41.0]], "position (9.0, 41.0) is outside the area"),
+        ({1: [3.0, 4.0]}, "the stands of a round are of vehicles 1; wanted 1 2, as the readings"),
+        ({2: [3.0, 4.0], 1: [3.0, 4.0]}, "are of vehicles 2 1; wanted 1 2"),
+        ({1: [3.0, 4.0], 2: [9.0, 41.0]}, "position (9.0, 41.0) is outside the area"),
     ],
 )
-def test_stands_that_no_estimator_can_mean_are_refused(stands: list[list[float]], reason: str) -> None:
-    bus = answered("homing", said(**of_two(), stands=stands), said(**of_two(), stands=[[3.0, 4.0]] * 2))
+def test_stands_that_no_estimator_can_mean_are_refused(stands: dict[int, list[float]], reason: str) -> None:
+    def standing(at: dict[int, list[float]]) -> bytes:
+        told = [{"vehicle": vehicle, "place": place} for vehicle, place in at.items()]
+        return said(**of_two(), stands=told)
+
+    bus = answered("homing", standing(stands), standing({1: [3.0, 4.0], 2: [9.0, 4.0]}))
     assert reason in bus.tally.last_error
     assert len(bus.published) == 1
 

@@ -23,6 +23,7 @@ from link.bus.messages import (
     Latecomer,
     LeaveOut,
     LeftAt,
+    Stand,
     pack_particles,
 )
 from link.bus.session import Arrival, LivelinessChange
@@ -381,7 +382,7 @@ def test_the_others_begin_without_one_that_comes_late_and_it_joins_them() -> Non
 
 
 def test_a_belief_says_where_each_of_its_round_has_read_first() -> None:
-    stands = {vehicle: taken(vehicle, 0).position for vehicle in (1, 2, 3)}
+    stands = {vehicle: Stand(vehicle, taken(vehicle, 0).position) for vehicle in (1, 2, 3)}
     told = [each.stands for each in said(estimated(3, *JOINING))]
     assert told == [(stands[1], stands[2])] * 3 + [tuple(stands.values())]
     left = said(estimated(2, *IN_ORDER[:2], left_out(1), *IN_ORDER[2:]))
