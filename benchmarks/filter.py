@@ -13,7 +13,7 @@ from benchmarks.filter_peers import Particles, Peer, PlainNumpy, StoneSoup
 from estimator.batch import Batch
 from estimator.filter import Config, prior
 from estimator.kernels.densities import log_likelihoods
-from estimator.kernels.update import update
+from estimator.kernels.update import RESAMPLE_BELOW, update
 from plume.scenario import AREA_M, draw
 from plume.worlds.world import World
 
@@ -47,7 +47,7 @@ def ours(seed: int, count: int, rows: Array) -> tuple[list[float], list[bool]]:
     for t in range(1, len(rows) + 1):
         first = p.particles[0, 0], p.particles[0, -1]
         began = time.perf_counter()
-        update(p.sample, rows[:t], config.model, seed, config.sweeps)
+        update(p.sample, rows[:t], config.model, seed, config.sweeps, RESAMPLE_BELOW)
         times.append(time.perf_counter() - began)
         moved.append(first != (p.particles[0, 0], p.particles[0, -1]))
     return times, moved

@@ -13,7 +13,7 @@ import numpy as np
 from estimator.belief import evidence, fit, locates, may_claim, share_outside, sure_enough
 from estimator.filter import Config, Posterior, prior
 from estimator.kernels.densities import Model
-from estimator.kernels.update import WeightedSample, update_missions
+from estimator.kernels.update import RESAMPLE_BELOW, WeightedSample, update_missions
 from estimator.kernels.weights import moments_of_missions
 from plume.elementary import Array, Indices
 
@@ -104,6 +104,7 @@ class Batch:
                 self._models,
                 self._seeds,
                 self._configs[0].sweeps,
+                RESAMPLE_BELOW,
                 portion,
             )
             moments_of_missions(self.particles, self.weights, portion, self.means, self.covariances)

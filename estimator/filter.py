@@ -13,7 +13,7 @@ import numpy as np
 from estimator.assumptions import SPIKES, effective_priors, margin
 from estimator.criterion import WIDEST_M, Criterion
 from estimator.kernels.densities import Model, log_priors
-from estimator.kernels.update import WeightedSample, update
+from estimator.kernels.update import RESAMPLE_BELOW, WITHIN_A_ROUND, WeightedSample, renew, update
 from estimator.priors import Prior, draw, table
 from link.bus.mavlink import Reading
 from link.cli import FARTHEST_OUT_M, PARTICLES
@@ -257,6 +257,11 @@ class Posterior:
         return [np.flatnonzero(self.vehicles == vehicle) for vehicle in np.unique(self.vehicles)]
 
     @property
+    def whose(self) -> Indices:
+        """Which vehicle took each reading, (T,)."""
+        return np.ones(len(self.readings), np.int64) if self.vehicles is None else self.vehicles
+
+    @property
     def sample(self) -> WeightedSample:
         """The arrays that `update` changes."""
         return WeightedSample(self.particles, self.log_weights, self.weights, self.log_targets)
@@ -282,14 +287,17 @@ def prior(config: Config) -> Posterior:
 def forget(posterior: Posterior, vehicles: Collection[int], config: Config) -> Posterior:
     """Return the posterior of the readings that these vehicles of a fleet have not taken.
 
-    It is computed anew from the prior, with the readings that are left in their order.
+    It is computed anew from the prior, with the readings that are left in their order, and renewed between
+    their rounds.
     """
-    took = _whose(posterior)
+    took = posterior.whose
     kept = np.flatnonzero(~np.isin(took, list(vehicles)))
     again = prior(config)
     for count, own in enumerate(kept.tolist(), 1):
         row = posterior.readings[own].copy()
         row[6] = 1.0  # its share
+        if count > 1 and took[own] <= again.whose[-1]:
+            again = renewed(again, config)  # a round was over
         again = with_row(again, row, config, took[kept[:count]])
     return again
 
@@ -319,24 +327,37 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
         raise ValueError(f"{reading} is not allowed; wanted finite numbers of float32")
     vehicles = posterior.vehicles
     if vehicles is not None or reading.vehicle != 1:
-        vehicles = np.append(_whose(posterior), reading.vehicle)
+        vehicles = np.append(posterior.whose, reading.vehicle)
     return with_row(posterior, row_of(posterior, reading, config), config, vehicles)
 
 
 def row_of(posterior: Posterior, reading: Reading, config: Config) -> Array:
     """Return the next reading as the kernels take it: an instrument follows those of its own vehicle."""
-    own = posterior.readings[_whose(posterior) == reading.vehicle]
+    own = posterior.readings[posterior.whose == reading.vehicle]
     return config.row(reading, own[-1] if len(own) else None)
-
-
-def _whose(posterior: Posterior) -> Indices:
-    """Return which vehicle took each reading, (T,)."""
-    return np.ones(len(posterior.readings), np.int64) if posterior.vehicles is None else posterior.vehicles
 
 
 def with_row(posterior: Posterior, row: Array, config: Config, vehicles: Indices | None = None) -> Posterior:
     """Return the posterior after one more reading, as the kernels take it, and who has taken them all."""
     sample = WeightedSample(*(array.copy() for array in posterior.sample))
     readings = np.vstack([posterior.readings, row])
-    rank = update(sample, readings, config.model, config.seed, config.sweeps)
+    least = WITHIN_A_ROUND if _are_several(vehicles) else RESAMPLE_BELOW
+    rank = update(sample, readings, config.model, config.seed, config.sweeps, least)
     return Posterior(*sample, readings, np.append(posterior.ranks, rank), vehicles)
+
+
+def _are_several(vehicles: Indices | None) -> bool:
+    return vehicles is not None and bool((vehicles != vehicles[0]).any())
+
+
+def renewed(posterior: Posterior, config: Config) -> Posterior:
+    """Return the posterior of several vehicles after a round's last reading, resampled and well moved.
+
+    Within the round its weights may degenerate, so that waypoints do not wait for moves: there is time for
+    these while the vehicles fly. Of one vehicle it is what it was.
+    """
+    if not _are_several(posterior.vehicles):
+        return posterior
+    sample = WeightedSample(*(array.copy() for array in posterior.sample))
+    renew(sample, posterior.readings, config.model, config.seed, config.sweeps)
+    return Posterior(*sample, posterior.readings, posterior.ranks, posterior.vehicles)

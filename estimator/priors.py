@@ -254,7 +254,7 @@ def _drawn(rows: Array, unknowns: Indices, count: int, rng: np.random.Generator)
         missing = np.arange(count)
         for _ in range(MOST_DRAWS):  # redraw values outside the support
             drawn = (
-                b * standard_gamma(rng, a, len(missing))
+                b * standard_gamma(rng, a, (len(missing),))
                 if kind == GAMMA
                 else a + b * standard_normal(rng, len(missing))
             )

@@ -8,7 +8,7 @@ import msgspec
 
 from estimator.admission import refusal
 from estimator.belief import belief, contributions, left_at, stop, stuck, warning
-from estimator.filter import Config, Posterior, assimilate, forget, prior
+from estimator.filter import Config, Posterior, assimilate, forget, prior, renewed
 from estimator.gathering import Gathering
 from estimator.roll import OVERDUE_S, Roll
 from estimator.watch import SensorWatch
@@ -49,6 +49,9 @@ def run(
     while True:
         arrival, refused = roll.receive(QUIET_S if watch.waiting else math.inf), None
         if arrival is None:
+            began = time.perf_counter()
+            ahead.renew(config)
+            bus.tally.compute_s += time.perf_counter() - began
             watch.look()
             bus.tally.about = _about(config, roll)
         else:
@@ -124,14 +127,20 @@ class Ahead:
     """The posteriors after each of a round's readings that have come so far, while the others are awaited."""
 
     def __init__(self, begin: Posterior) -> None:
-        """begin: that of the rounds before."""
+        """begin: that of the rounds before, not yet `renewed`."""
         self.posteriors = [begin]
         self._taken: list[Reading] = []
+        self._is_renewed = False
 
     @property
     def begin(self) -> Posterior:
         """That of the rounds before."""
         return self.posteriors[0]
+
+    def renew(self, config: Config) -> None:
+        """Renew that of the rounds before, once: in the time that there is before a reading, or then."""
+        if not self._is_renewed:
+            self.posteriors[0], self._is_renewed = renewed(self.begin, config), True
 
     def take(self, readings: Sequence[Reading], config: Config) -> None:
         """Take the round's first readings, in their order. Those that it has taken are not assimilated again.
@@ -144,6 +153,8 @@ class Ahead:
                 break
             known += 1
         del self._taken[known:], self.posteriors[known + 1 :]
+        if readings:
+            self.renew(config)
         for reading in readings[known:]:
             self.posteriors.append(assimilate(self.posteriors[-1], reading, config))
             self._taken.append(reading)

@@ -60,7 +60,7 @@ def standard_normal(rng: np.random.Generator, size: int) -> Array:
     return np.where(np.abs(drawn) > EXACT_WITHIN, np.rint(drawn * 2.0**30) / 2.0**30, drawn)
 
 
-def standard_gamma(rng: "np.random.Generator | Alike", shape: Array | float, size: int) -> Array:
+def standard_gamma(rng: "np.random.Generator | Alike", shape: Array | float, size: tuple[int, ...]) -> Array:
     """Draw gamma variables of scale 1, float32 values.
 
     How NumPy rounds them depends on the compiler that built it.
@@ -143,9 +143,9 @@ class Alike:
         """(A, K) of U[0, 1)."""
         return np.broadcast_to(self._generator.random(size[1:]), size)
 
-    def standard_gamma(self, shape: Array | float, size: int, /) -> Array:
+    def standard_gamma(self, shape: Array | float, size: tuple[int, ...], /) -> Array:
         """(K,) gamma variables of these shapes (K,) and scale 1, for all rows."""
-        return self._generator.standard_gamma(shape, size)
+        return self._generator.standard_gamma(shape, size[1:])
 
     def poisson(self, lam: Array, /) -> Indices:
         """(A, K) Poisson counts with means `lam` (A, K)."""

@@ -28,9 +28,10 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     """
     moves = reach.moves(belief.position)
     places = reach.ahead(belief.position, moves, AHEAD)
-    hypotheses = cloud(belief, particles).thinned(PARTICLES)
+    hypotheses = cloud(belief, particles).thinned(reach.fewer(PARTICLES))
     before = reach.foreseen(AHEAD)
-    imagined = imagine(belief, hypotheses, places, reach.measurements, rng, before=before)
+    number = reach.fewer(reach.measurements)
+    imagined = imagine(belief, hypotheses, places, number, rng, before=before)
     spread = entropy_spread(hypotheses, belief.spread)
     spreads = spread * exp_each(-imagined.gains / 2).mean(axis=1)
     anyway = spread * float(exp_each(-imagined.gains_before / 2).mean()) if len(before) else spread

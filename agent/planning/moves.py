@@ -131,6 +131,10 @@ class Reach:
             places = np.where(self._are_clear(position, places)[..., None], places, ends)
         return places
 
+    def fewer(self, number: int) -> int:
+        """Return how many of a number of draws this vehicle has: alone all."""
+        return number
+
     def foreseen(self, _steps: float = 1.0) -> Array:
         """Return where other vehicles take readings before this one, (F, 2) m: there are none."""
         return np.empty((0, 2))

@@ -174,7 +174,9 @@ def imagine_along(
         alike = Alike(bits, rows.shape[1])
         return np.array([_readings(sensor, at[:, drawn], own, alike) for at in rows]).transpose(1, 0, 2)
 
-    readings_before = draw(means_before[:, None])[0] if len(before) else np.empty((0, number))
+    readings_before = np.empty((0, number))
+    if len(before):
+        readings_before = _readings(sensor, means_before[:, drawn], own, np.random.Generator(bits))
     readings = np.ascontiguousarray(draw(means.transpose(1, 0, 2)))
     if values is None:
         values = np.empty((1, 1, 0, len(cumulative)))
@@ -193,13 +195,13 @@ def imagine_along(
     return Imagined(log_predictive, log_likelihood, expectations, means, noises, gains_before)
 
 
-def _readings(sensor: Sensor, means: Array, noises: Array, rng: Alike) -> Array:
+def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Generator | Alike) -> Array:
     """Draw a reading for each mean (A, K). noises: (2, K) each one's noise factor and intermittency."""
     factors, cvs = noises
     gas = None
     if cvs.any():
         shapes = 1 / np.square(np.maximum(cvs, SMALLEST_CV))
-        gas = means * standard_gamma(rng, shapes, len(shapes)) / shapes
+        gas = means * standard_gamma(rng, shapes, means.shape) / shapes
     return sensor.measure(means, rng, gas, factors)
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import msgspec
 
 from estimator.belief import belief, left_at
-from estimator.filter import Config, Posterior, assimilate, forget, prior
+from estimator.filter import Config, Posterior, assimilate, forget, prior, renewed
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles, Stand
 from plume.problems.fleet import Place
@@ -91,6 +91,7 @@ class Rounds:
         began = time.process_time()
         if gone := [each for each in self._forgotten if round_number == self._leaving[each]]:
             self._posterior = forget(self._posterior, gone, self._config)
+        self._posterior = renewed(self._posterior, self._config)
         for reading in readings:
             self._posterior = assimilate(self._posterior, reading, self._config)
         said, particles = belief(self._posterior, readings[-1], self._config)

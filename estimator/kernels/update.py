@@ -1,4 +1,7 @@
-"""Assimilates one reading: reweight; if the weights degenerate, resample and move."""
+"""Assimilates one reading: reweight; if the weights degenerate, resample and move.
+
+The readings of a round of several vehicles are reweighted by, and the sample is renewed after the round.
+"""
 
 from typing import NamedTuple
 
@@ -8,6 +11,8 @@ from numpy.typing import NDArray
 
 from estimator.kernels.checks import predictive_rank
 from estimator.kernels.densities import (
+    MODEL,
+    ROW,
     STACK,
     TABLE,
     Model,
@@ -22,7 +27,10 @@ from plume.draws import key_of, uniform
 from plume.elementary import Array, Indices
 from plume.kernels import derive
 
-RESAMPLE_BELOW = 0.5  # resample if the effective sample size falls below this share of N
+# Resample if the effective sample size falls below this share of N; within a round of several, the second.
+RESAMPLE_BELOW, WITHIN_A_ROUND = 0.5, 0.1
+# After a round of several, while they fly: with fewer moves the search takes more rounds (docs/fleet.md).
+MOVES_OF_A_ROUND = 3
 # Most tempered stages per reading. The rest of its likelihood is dropped, so that no admitted reading
 # collapses the sample to a point.
 MAX_STAGES = 40
@@ -37,12 +45,16 @@ class WeightedSample(NamedTuple):
     log_targets: Array  # (N,) log posterior density given all readings so far, up to a constant
 
 
-SAMPLES = tuple_type((STACK, TABLE, TABLE, TABLE), WeightedSample)
+SAMPLE, SAMPLES = (
+    tuple_type((all_of, each, each, each), WeightedSample) for all_of, each in ((TABLE, ROW), (STACK, TABLE))
+)
 MODELS = tuple_type((numba.int64[::1], STACK, TABLE, TABLE, STACK, TABLE), Model)
 
 
 @subroutine
-def reweight(sample: WeightedSample, log_densities: Array, exponent: float) -> tuple[float, float]:
+def reweight(
+    sample: WeightedSample, log_densities: Array, exponent: float, least: float
+) -> tuple[float, float]:
     """Multiply the weights by likelihoods (N,), of which `exponent` has been taken already.
 
     Returns the exponent taken by now, 1 unless this would reduce the effective sample size too much
@@ -50,7 +62,7 @@ def reweight(sample: WeightedSample, log_densities: Array, exponent: float) -> t
     """
     _, log_weights, weights, log_targets = sample
     left = 1.0 - exponent
-    share, size = tempered_share(log_weights, log_densities, left, weights)
+    share, size = tempered_share(log_weights, log_densities, left, weights, least)
     for i in range(len(weights)):
         log_weights[i] += share * log_densities[i]
         log_targets[i] += share * log_densities[i]
@@ -71,11 +83,14 @@ def resample(sample: WeightedSample, offset: float) -> None:
 
 
 @subroutine
-def _assimilate(sample: WeightedSample, readings: Array, model: Model, seed: int, sweeps: int) -> float:
+def _assimilate(
+    sample: WeightedSample, readings: Array, model: Model, seed: int, sweeps: int, least: float
+) -> float:
     """Assimilate the last of the readings (T, 7) in place, setting its share; returns its predictive rank.
 
     Reweight; if the weights degenerate, resample and move (Gordon 1993; Chopin 2002). A reading that would
-    reduce the effective sample size too much is taken in tempered stages (Del Moral 2006).
+    reduce the effective sample size too much is taken in tempered stages (Del Moral 2006).  least: the share
+    of N below which they degenerate.
     tests/estimator/test_textbook.py has the same in plain NumPy.
     """
     count, step = sample.particles.shape[1], len(readings) - 1
@@ -91,9 +106,9 @@ def _assimilate(sample: WeightedSample, readings: Array, model: Model, seed: int
         if stage == 0:
             chance = uniform(key_of(seed, step, 0, 1000), 0)
             rank = predictive_rank(means, fresh, squares, derived, sample.weights, reading[5], model, chance)
-        exponent, size = reweight(sample, log_densities, exponent)
+        exponent, size = reweight(sample, log_densities, exponent, least)
         reading[6] = exponent
-        if size < RESAMPLE_BELOW * count:
+        if size < least * count:
             resample(sample, uniform(key_of(seed, step, stage, 0), 0))
             move(sample.particles, sample.log_targets, readings, model, sweeps, seed, stage)
         if exponent == 1.0:
@@ -103,7 +118,8 @@ def _assimilate(sample: WeightedSample, readings: Array, model: Model, seed: int
 
 @kernel(
     numba.void(
-        *(SAMPLES, STACK, TABLE, numba.int64[::1], MODELS, numba.uint64[::1], numba.int64, numba.int64[::1])
+        *(SAMPLES, STACK, TABLE, numba.int64[::1], MODELS, numba.uint64[::1], numba.int64),
+        *(numba.float64, numba.int64[::1]),
     ),
     nogil=True,
 )
@@ -115,11 +131,12 @@ def update_missions(
     models: Model,
     seeds: NDArray[np.uint64],
     sweeps: int,
+    least: float,
     missions: Indices,
 ) -> None:
     """Assimilate the last of the first `counts` readings of each of these missions of a batch.
 
-    Arrays are as in `_assimilate`, stacked, but for the unknowns, which all share.
+    Arrays are as in `_assimilate`, stacked, but for the unknowns, which all share, as `sweeps` and `least`.
     """
     particles, log_weights, weights, log_targets = samples
     unknowns, priors, sensors, spikes, walls, densities = models
@@ -127,17 +144,25 @@ def update_missions(
         sample = WeightedSample(particles[b], log_weights[b], weights[b], log_targets[b])
         model = Model(unknowns, priors[b], sensors[b], spikes[b], walls[b], densities[b])
         count = counts[b]
-        ranks[b, count - 1] = _assimilate(sample, readings[b, :count], model, seeds[b], sweeps)
+        ranks[b, count - 1] = _assimilate(sample, readings[b, :count], model, seeds[b], sweeps, least)
 
 
-def update(sample: WeightedSample, readings: Array, model: Model, seed: int, sweeps: int) -> float:
+def update(
+    sample: WeightedSample, readings: Array, model: Model, seed: int, sweeps: int, least: float
+) -> float:
     """Assimilate the last of the readings (T, 7) of one mission, as `_assimilate`: a batch of one."""
     unknowns, *others = model
     stacked = WeightedSample(*(array[None] for array in sample))
     models = Model(unknowns, *(array[None] for array in others))
-    count = len(readings)
+    count, first = len(readings), np.zeros(1, np.int64)
     ranks, seeds = np.empty((1, count)), np.array([seed], np.uint64)
-    update_missions(
-        stacked, readings[None], ranks, np.array([count]), models, seeds, sweeps, np.zeros(1, np.int64)
-    )
+    update_missions(stacked, readings[None], ranks, np.array([count]), models, seeds, sweeps, least, first)
     return float(ranks[0, -1])
+
+
+@kernel(numba.void(SAMPLE, TABLE, MODEL, numba.uint64, numba.int64))
+def renew(sample: WeightedSample, readings: Array, model: Model, seed: int, sweeps: int) -> None:
+    """Resample, and move MOVES_OF_A_ROUND times by the posterior given all readings (T, 7), in place."""
+    resample(sample, uniform(key_of(seed, len(readings) - 1, MAX_STAGES, 0), 0))
+    for stage in range(MAX_STAGES, MAX_STAGES + MOVES_OF_A_ROUND):
+        move(sample.particles, sample.log_targets, readings, model, sweeps, seed, stage)

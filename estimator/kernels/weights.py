@@ -6,8 +6,9 @@ from plume.compiled import kernel, subroutine
 from plume.elementary import Array, Indices
 from plume.numerics import dot, exp, total_of
 
-# If a reading would bring the effective sample size below this share of N, it is taken in tempered stages.
-STAGE_FLOOR = 0.4
+# If a reading would bring the effective sample size below this share of where one resamples, it is taken in
+# tempered stages.
+STAGE_FLOOR = 0.8
 
 
 @kernel("float64(float64[::1])")
@@ -47,14 +48,14 @@ def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array
 
 @subroutine
 def tempered_share(
-    log_weights: Array, log_densities: Array, left: float, weights: Array
+    log_weights: Array, log_densities: Array, left: float, weights: Array, least: float
 ) -> tuple[float, float]:
     """Return the exponent for the next stage and the effective sample size that it leaves.
 
-    The weights are set accordingly. The exponent is `left` if that leaves at least STAGE_FLOOR · N effective
-    particles. Otherwise bisection finds one that leaves 1 to 1.2 times that.
+    The weights are set accordingly. The exponent is `left` if that leaves at least STAGE_FLOOR · `least` · N
+    effective particles. Otherwise bisection finds one that leaves 1 to 1.2 times that.
     """
-    floor = STAGE_FLOOR * len(weights)
+    floor = STAGE_FLOOR * least * len(weights)
     size = weigh(log_weights, left, log_densities, weights)
     if size >= floor:
         return left, size

@@ -11,7 +11,7 @@ import pytest
 
 from estimator import roll, service
 from estimator.belief import belief
-from estimator.filter import Config, assimilate, prior
+from estimator.filter import Config, Posterior, assimilate, prior, renewed
 from estimator.roll import Attendance
 from link.bus.keys import BELIEF, DEPARTURE, HEALTH, JOIN, LATECOMER, LEAVE_OUT, READING
 from link.bus.mavlink import Codec, Reading, pack_reading
@@ -49,6 +49,14 @@ def estimated(vehicles: int, *arrivals: Arrival) -> QuietBus:
     return bus
 
 
+def after(posterior: Posterior, number: int, *vehicles: int) -> Posterior:
+    """The posterior after a round of these vehicles."""
+    posterior = renewed(posterior, CONFIG)
+    for vehicle in vehicles:
+        posterior = assimilate(posterior, taken(vehicle, number), CONFIG)
+    return posterior
+
+
 def said(bus: QuietBus) -> list[Belief]:
     return [msgspec.json.decode(message, type=Belief) for key, message, _ in bus.published if key is BELIEF]
 
@@ -59,8 +67,7 @@ IN_ORDER = [arrival(vehicle, number) for number in range(3) for vehicle in (1, 2
 def test_a_round_is_one_belief_of_all_its_readings_in_the_order_of_the_vehicles() -> None:
     posterior, expected = prior(CONFIG), []
     for number in range(3):
-        for vehicle in (1, 2):
-            posterior = assimilate(posterior, taken(vehicle, number), CONFIG)
+        posterior = after(posterior, number, 1, 2)
         summary, array = belief(posterior, taken(2, number), CONFIG)
         expected.append((summary.mean, summary.step, pack_particles(array)))
     bus = estimated(2, *IN_ORDER)
@@ -109,6 +116,21 @@ def test_readings_are_assimilated_as_they_come_and_again_only_after_one_that_has
     for found, wanted in zip(ahead.posteriors[1:], (first, assimilate(first, three, CONFIG)), strict=True):
         np.testing.assert_array_equal(found.particles, wanted.particles)
         np.testing.assert_array_equal(found.log_weights, wanted.log_weights)
+
+
+def test_whether_a_sample_is_renewed_while_vehicles_fly_or_at_the_next_reading_changes_nothing() -> None:
+    """And it is renewed once."""
+    last, reading = after(prior(CONFIG), 0, 1, 2), taken(1, 1)
+    early, late = service.Ahead(last), service.Ahead(last)
+    early.renew(CONFIG)
+    assert not np.array_equal(early.begin.particles, last.particles)
+    for ahead in (early, late):
+        ahead.take([reading], CONFIG)
+        ahead.renew(CONFIG)
+    wanted = assimilate(renewed(last, CONFIG), reading, CONFIG)
+    for found in (early.posteriors[1], late.posteriors[1]):
+        np.testing.assert_array_equal(found.particles, wanted.particles)
+    np.testing.assert_array_equal(early.begin.particles, late.begin.particles)
 
 
 def test_a_repeated_reading_is_answered_again_only_once_its_round_is_whole() -> None:
@@ -285,8 +307,7 @@ def test_who_is_left_out_leaves_from_the_next_round_on_and_its_readings_are_forg
     assert vehicles == [[1, 2, 3], [1, 2, 3], [1, 2], [1, 2]]
     posterior, expected = prior(CONFIG), []
     for number in range(4):
-        for vehicle in (1, 2):
-            posterior = assimilate(posterior, taken(vehicle, number), CONFIG)
+        posterior = after(posterior, number, 1, 2)
         expected.append(belief(posterior, taken(2, number), CONFIG)[0].mean)
     means = [each.mean for each in said(bus)]
     assert means[2:] == expected[2:]  # as if it had never been there
@@ -375,8 +396,7 @@ def test_the_others_begin_without_one_that_comes_late_and_it_joins_them() -> Non
     assert [each.step for each in said(bus)] == [0, 1, 2, 3]
     posterior = prior(CONFIG)
     for number in range(4):
-        for vehicle in (1, 2):
-            posterior = assimilate(posterior, taken(vehicle, number), CONFIG)
+        posterior = after(posterior, number, 1, 2)
     posterior = assimilate(posterior, taken(3, 0), CONFIG)
     assert said(bus)[-1].mean == belief(posterior, taken(3, 0), CONFIG)[0].mean
 

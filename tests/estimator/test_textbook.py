@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from estimator.filter import Config, assimilate, prior
+from estimator.filter import Config, Posterior, assimilate, prior, renewed
 from estimator.priors import LogNormal, Prior
 from link.bus.mavlink import Reading
 from plume.dispersion import concentration
@@ -70,9 +70,9 @@ class Textbook:
         weights = np.exp(log_weights - log_weights.max())
         return float(weights.sum() ** 2 / (weights @ weights))
 
-    def share(self, log_likelihood: Array, left: float) -> float:
-        """As much of the likelihood as leaves 40% of the particles effective, to 20%, by bisection."""
-        low, high, count = 0.0, left, len(log_likelihood)
+    def share(self, log_likelihood: Array, left: float, least: float) -> float:
+        """As much of the likelihood as leaves four fifths of `least` effective, to 20%, by bisection."""
+        low, high, count = 0.0, left, 2 * least * len(log_likelihood)
         size = self.size(self.log_weights + left * log_likelihood)
         share = left
         while size < 0.4 * count or (share < left and size > 1.2 * 0.4 * count):
@@ -81,19 +81,26 @@ class Textbook:
             size = self.size(self.log_weights + share * log_likelihood)
         return share
 
-    def assimilate(self, reading: Reading) -> None:
+    def assimilate(self, reading: Reading, least: float = 0.5) -> None:
         exponent, stage, step = 0.0, 0, len(self.readings)
         self.readings.append((reading, 0.0))
         while exponent < 1.0:
             log_likelihood = self.log_likelihood(self.particles, reading)
-            share = self.share(log_likelihood, 1.0 - exponent)
+            share = self.share(log_likelihood, 1.0 - exponent, least)
             exponent = 1.0 if share == 1.0 - exponent else exponent + share
             self.readings[-1] = reading, exponent
             self.log_weights = self.log_weights + share * log_likelihood
-            if self.size(self.log_weights) < 0.5 * COUNT:
+            if self.size(self.log_weights) < least * COUNT:
                 self.resample(float(uniforms(step, stage, 0, 0, 1)[0]))
                 self.move(step, stage)
             stage += 1
+
+    def renew(self) -> None:
+        """Resample, and move three times, after a round."""
+        step = len(self.readings) - 1
+        self.resample(float(uniforms(step, 40, 0, 0, 1)[0]))
+        for stage in (40, 41, 42):
+            self.move(step, stage)
 
     def resample(self, offset: float) -> None:
         weights = np.exp(self.log_weights - self.log_weights.max())
@@ -164,23 +171,68 @@ class Textbook:
         return now
 
 
-@pytest.mark.parametrize("priors", [{}, {"q": LogNormal(250.0, 0.6)}], ids=lambda priors: " ".join(priors))
-def test_the_fused_step_is_the_textbooks(priors: dict[str, Prior]) -> None:
+PRIORS = pytest.mark.parametrize(
+    "priors", [{}, {"q": LogNormal(250.0, 0.6)}], ids=lambda priors: " ".join(priors)
+)
+
+
+def search(priors: dict[str, Prior]) -> tuple[Config, Textbook, list[Reading]]:
+    """Both filters, and readings on the way to a source."""
+    s = draw(11)
+    config = Config(COUNT, seed=SEED, rate=s.q, diffusivity=s.d, lifetime=s.tau, priors=priors)
+    world, readings = World(s, 11), []
+    for step, share in enumerate(np.linspace(0.0, 1.0, 25)):
+        x, y = (np.array(s.start) + share * (np.array(s.source) - s.start)).astype(np.float32).tolist()
+        readings.append(Reading(step, (x, y), 5.0, world.wind, world.gas((x, y), step)))
+    return config, Textbook(s, config), readings
+
+
+def assert_alike(posterior: Posterior, textbook: Textbook) -> None:
     """To 1e-9 of the area: sums differ in their order. A decision that differs would move a particle by
     far more.
     """
-    s = draw(11)
-    config = Config(COUNT, seed=SEED, rate=s.q, diffusivity=s.d, lifetime=s.tau, priors=priors)
-    world, posterior, textbook = World(s, 11), prior(config), Textbook(s, config)
-    for step, share in enumerate(np.linspace(0.0, 1.0, 25)):
-        x, y = (np.array(s.start) + share * (np.array(s.source) - s.start)).astype(np.float32).tolist()
-        reading = Reading(step, (x, y), 5.0, world.wind, world.gas((x, y), step))
+    assert posterior.particles == pytest.approx(textbook.particles, rel=1e-7, abs=1e-8)
+    assert posterior.log_weights - posterior.log_weights.max() == pytest.approx(
+        textbook.log_weights - textbook.log_weights.max(), abs=1e-7
+    )
+    assert posterior.readings[-1, 6] == pytest.approx(textbook.readings[-1][1], abs=1e-12)
+
+
+@PRIORS
+def test_the_fused_step_is_the_textbooks(priors: dict[str, Prior]) -> None:
+    config, textbook, readings = search(priors)
+    posterior = prior(config)
+    for reading in readings:
         before = posterior.particles
         posterior = assimilate(posterior, reading, config)
         textbook.assimilate(reading)
-        assert posterior.particles == pytest.approx(textbook.particles, rel=1e-7, abs=1e-8)
-        assert posterior.log_weights - posterior.log_weights.max() == pytest.approx(
-            textbook.log_weights - textbook.log_weights.max(), abs=1e-7
-        )
-        assert posterior.readings[-1, 6] == pytest.approx(textbook.readings[-1][1], abs=1e-12)
+        assert_alike(posterior, textbook)
     assert not np.array_equal(before, posterior.particles)  # it has moved, to the last reading
+
+
+@PRIORS
+def test_within_a_round_of_several_the_weights_degenerate_further_and_then_the_sample_is_renewed(
+    priors: dict[str, Prior],
+) -> None:
+    """Five vehicles, so five rounds: down to a tenth of the particles within each."""
+    config, textbook, readings = search(priors)
+    posterior, least, moves = prior(config), 1.0, 0
+    for number, reading in enumerate(readings):
+        if number and number % 5 == 0:
+            posterior = renewed(posterior, config)
+            textbook.renew()
+            assert_alike(posterior, textbook)
+        before = posterior.particles
+        posterior = assimilate(posterior, reading._replace(vehicle=1 + number % 5), config)
+        textbook.assimilate(reading, 0.1 if number else 0.5)
+        assert_alike(posterior, textbook)
+        moves += not np.array_equal(before, posterior.particles)
+        least = min(least, textbook.size(textbook.log_weights) / COUNT)
+    assert least < 0.4  # one vehicle's are never so few
+    assert moves >= 1  # within a round, too
+
+
+def test_of_one_vehicle_nothing_is_renewed() -> None:
+    config, _, readings = search({})
+    posterior = assimilate(prior(config), readings[0], config)
+    assert renewed(posterior, config) is posterior
