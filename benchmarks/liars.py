@@ -24,7 +24,7 @@ from agent.trials.figures import wilson
 from agent.trials.rollout import mission
 from benchmarks.rows import append, read
 from estimator.belief import stuck
-from estimator.filter import assimilate, prior
+from estimator.filter import assimilate, prior, renewed
 from estimator.watch import SensorWatch
 from link import cli
 from link.terminal import tell
@@ -95,6 +95,7 @@ def _searched(seed: int, lie: str, liar: int, leaving: Mapping[int, int]) -> tup
                 doubted = [*stuck(step.posterior, flown.config), *watch.doubted]
                 if doubted and not step.belief.ceased:
                     named, at = doubted[0], number
+                before = renewed(before, flown.config)
                 for reading in step.readings:
                     after = assimilate(before, reading, flown.config)
                     watch.take(before, after, reading)

@@ -71,8 +71,8 @@ def test_those_who_have_chosen_are_foreseen_on_their_way_and_inside_the_area() -
     assert Reach().foreseen().shape == (0, 2)
 
 
-def test_ways_that_are_too_far_away_to_be_measured_change_nothing_of_what_is_free() -> None:
-    """Held against the gaps to all ways, at separations that are small and large."""
+def test_those_ways_are_free_whose_gaps_to_all_others_are_no_less_than_the_separation() -> None:
+    """At separations that are small and large; some ways cross, some only stay."""
     rng = np.random.default_rng(5)
     free = 0
     for separation_m in (0.0, 0.5, 3.0, 8.0) * 50:
@@ -86,6 +86,13 @@ def test_ways_that_are_too_far_away_to_be_measured_change_nothing_of_what_is_fre
         assert (reach.are_free(tuple(here), places) == expected).all()
         free += expected.sum()
     assert 200 < free < 1000  # of 1,200: some are and some are not
+
+
+@pytest.mark.parametrize(("others", "draws"), [(0, 100), (3, 100), (4, 80), (7, 50)])
+def test_more_than_four_vehicles_share_the_draws_of_four(others: int, draws: int) -> None:
+    chosen, waiting = [[[9.0, 9.0], [9.0, 9.0]]] * (others // 2), [[20.0, 20.0]] * (others - others // 2)
+    assert shared(chosen, waiting).fewer(100) == draws
+    assert Reach().fewer(100) == 100
 
 
 def after_leaving(*left_at: tuple[float, float]) -> Shared:
