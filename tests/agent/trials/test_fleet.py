@@ -11,7 +11,7 @@ import pytest
 
 from agent.trials.rollout import mission, rollout
 from agent.trials.sweep import Sweep, fly
-from estimator.filter import assimilate, prior
+from estimator.filter import assimilate, prior, renewed
 from link import cli
 from link.bus.messages import LeftAt
 from plume.outcome import TracePoint, outcome_text
@@ -97,6 +97,7 @@ def test_the_belief_takes_the_readings_by_round_then_vehicle() -> None:
     posterior = prior(flown.config)
     for number, step in enumerate(flown.steps):
         assert [reading.vehicle for reading in step.readings] == [1, 2]
+        posterior = renewed(posterior, flown.config)
         for reading in step.readings:
             posterior = assimilate(posterior, reading, flown.config)
         assert (posterior.particles == step.posterior.particles).all()
