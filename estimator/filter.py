@@ -305,7 +305,7 @@ def forget(posterior: Posterior, vehicles: Collection[int], config: Config) -> P
 def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Posterior:
     """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move.
 
-    `estimator.kernels.update` does it. In a round of several vehicles weights may degenerate further: `renewed`
+    `estimator.kernels.update` does it. In a round of several vehicles they may degenerate further: `renewed`
     follows the round. A function of its arguments alone: the same readings in the same order give the same
     particles. `posterior` is not changed. Raises ValueError if a number is not finite as a float32, as which
     readings are told.
