@@ -274,24 +274,23 @@ def test_readings_that_are_taken_before_are_weighed_with_those_at_a_place(sensor
     drawn = np.searchsorted(np.cumsum(hypotheses.weights), strata, side="right")
     bits = np.random.Philox(int(rng.integers(2**63)))
 
-    def log_likelihoods(place: Array) -> tuple[Array, Array]:
-        """(25, 300) of readings at a place, and the terms that are left out for hits."""
-        means = concentration(
-            place, hypotheses.places.T, WIND, rate=RATE, diffusivity=DIFFUSIVITY, lifetime=LIFETIME
-        )
-        readings = sensor.measure(means[drawn], np.random.Generator(bits))
-        left_out = [math.lgamma(z + 1) for z in readings] if isinstance(sensor, Hits) else np.zeros(25)
-        return sensor.log_likelihood(readings[:, None], means), np.array(left_out)
+    def log_likelihoods(*at: Array) -> tuple[Array, Array]:
+        """(25, 300) of readings at all of these places, and the terms that are left out for hits."""
+        plume = {"rate": RATE, "diffusivity": DIFFUSIVITY, "lifetime": LIFETIME}
+        means = np.array([concentration(place, hypotheses.places.T, WIND, **plume) for place in at])
+        readings = sensor.measure(means[:, drawn], np.random.Generator(bits))
+        factorials = [
+            [math.lgamma(z + 1) if isinstance(sensor, Hits) else 0.0 for z in row] for row in readings
+        ]
+        each = [sensor.log_likelihood(row[:, None], mean) for row, mean in zip(readings, means, strict=True)]
+        return np.sum(each, axis=0), np.sum(factorials, axis=0)
 
-    (first, first_left_out), (second, second_left_out) = (
-        log_likelihoods(before[0]),
-        log_likelihoods(before[1]),
-    )
+    earlier, earlier_left_out = log_likelihoods(*before)
     state = bits.state
     for a, place in enumerate([None, *places], -1):  # -1: only those before
         bits.state = state
         here, left_out = (0.0, 0.0) if place is None else log_likelihoods(place)
-        joint, left_out = first + second + here, first_left_out + second_left_out + left_out
+        joint, left_out = earlier + here, earlier_left_out + left_out
         predictive = np.exp(joint) @ hypotheses.weights
         expected = (hypotheses.weights * np.exp(joint) / predictive[:, None] * joint).sum(axis=1)
         if place is None:
