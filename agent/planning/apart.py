@@ -101,7 +101,7 @@ class Shared(Reach):
     def fewer(self, number: int) -> int:
         """Return how many of a number of draws each vehicle has: more than IMAGINING share those of so many.
 
-        A round of eight is planned in the time of one of two, and its search is as short (docs/fleet.md).
+        A round of eight is planned sooner, and its search is about as short (docs/fleet.md).
         """
         return math.ceil(number * min(1.0, IMAGINING / (1 + len(self.chosen) + len(self.waiting))))
 

@@ -317,7 +317,7 @@ def _side(x: float, y: float, x_1: float, y_1: float, x_2: float, y_2: float) ->
 def gaps(position: Array, places: Array, ways: Array) -> Array:
     """Least distances of the ways from a position (2,) to places (A, 2) from other ways (F, 2, 2): (A, F) m.
 
-    As `plume.polygons.polygons.gaps`, which has it in NumPy: a round of eight asks 3,000 times for one.
+    As `plume.polygons.polygons.gaps`, which has it in NumPy: a round of eight asks for some 1,900.
     """
     result, (x, y) = np.empty((len(places), len(ways))), position
     for a in range(len(places)):
