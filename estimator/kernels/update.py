@@ -1,6 +1,6 @@
 """Assimilates one reading: reweight; if the weights degenerate, resample and move.
 
-The readings of a round of several vehicles are reweighted by, and the sample is renewed after the round.
+Within a round of several vehicles weights may degenerate further. The sample is renewed after the round.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,8 @@ from plume.draws import key_of, uniform
 from plume.elementary import Array, Indices
 from plume.kernels import derive
 
-# Resample if the effective sample size falls below this share of N; within a round of several, the second.
+# Shares of N. Resample if the effective sample size falls below the first.
+# Within a round of several vehicles it is the second.
 RESAMPLE_BELOW, WITHIN_A_ROUND = 0.5, 0.1
 # After a round of several, while they fly: with fewer moves the search takes more rounds (docs/fleet.md).
 MOVES_OF_A_ROUND = 3

@@ -6,8 +6,8 @@ from plume.compiled import kernel, subroutine
 from plume.elementary import Array, Indices
 from plume.numerics import dot, exp, total_of
 
-# If a reading would bring the effective sample size below this share of where one resamples, it is taken in
-# tempered stages.
+# One resamples below a certain effective sample size.
+# If a reading would bring it below this share of that, the reading is taken in tempered stages.
 STAGE_FLOOR = 0.8
 
 
