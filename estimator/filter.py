@@ -355,7 +355,7 @@ def renewed(posterior: Posterior, config: Config) -> Posterior:
     """Return the posterior of several vehicles after a round's last reading, resampled and well moved.
 
     Within the round its weights may degenerate, so that waypoints do not wait for moves: there is time for
-    these while the vehicles fly. Of one vehicle it is what it was.
+    these while the vehicles fly. If they have hardly changed, or of one vehicle, it is what it was.
     """
     if not _are_several(posterior.vehicles):
         return posterior

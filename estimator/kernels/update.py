@@ -21,16 +21,16 @@ from estimator.kernels.densities import (
     tuple_type,
 )
 from estimator.kernels.moves import move
-from estimator.kernels.weights import systematic, tempered_share
+from estimator.kernels.weights import effective_sample_size, systematic, tempered_share
 from plume.compiled import kernel, subroutine
 from plume.draws import key_of, uniform
 from plume.elementary import Array, Indices
 from plume.kernels import derive
 
 # Shares of N. Resample if the effective sample size falls below the first.
-# Within a round of several vehicles it is the second.
-RESAMPLE_BELOW, WITHIN_A_ROUND = 0.5, 0.1
-# After a round of several, while they fly: with fewer moves the search takes more rounds (docs/fleet.md).
+# Within a round of several vehicles it is the second, and between rounds the third.
+RESAMPLE_BELOW, WITHIN_A_ROUND, BETWEEN_ROUNDS = 0.5, 0.02, 0.8
+# Between rounds, while the vehicles fly: with fewer moves the search takes more rounds (docs/fleet.md).
 MOVES_OF_A_ROUND = 3
 # Most tempered stages per reading. The rest of its likelihood is dropped, so that no admitted reading
 # collapses the sample to a point.
@@ -163,7 +163,12 @@ def update(
 
 @kernel(numba.void(SAMPLE, TABLE, MODEL, numba.uint64, numba.int64))
 def renew(sample: WeightedSample, readings: Array, model: Model, seed: int, sweeps: int) -> None:
-    """Resample, and move MOVES_OF_A_ROUND times by the posterior given all readings (T, 7), in place."""
+    """Resample, and move MOVES_OF_A_ROUND times by the posterior given all readings (T, 7), in place.
+
+    Nothing is done while the weights are nearly equal: a round has told next to nothing.
+    """
+    if effective_sample_size(sample.weights) >= BETWEEN_ROUNDS * len(sample.weights):
+        return
     resample(sample, uniform(key_of(seed, len(readings) - 1, MAX_STAGES, 0), 0))
     for stage in range(MAX_STAGES, MAX_STAGES + MOVES_OF_A_ROUND):
         move(sample.particles, sample.log_targets, readings, model, sweeps, seed, stage)
