@@ -5,10 +5,11 @@
     python -m benchmarks.together --wide                       # the same of an area of 150 m, from corners
 
 A fleet is compared with one vehicle from the same formation, and with one from a point, on the same seeds:
-the share of its moves, with a bootstrap interval over the pairs. `alone` flies each vehicle of a formation
-with a belief of its own, as if the others were not there; the first to stop ends the search of all, and all
-have flown as many moves. `told` are fleets that know where the source is, fly straight to it, and search from
-there: the way, and the readings that the stop wants.
+the share of its moves, with a bootstrap interval over the pairs; and by medians, which do not depend on when
+a search is given up. `alone` flies each vehicle of a formation with a belief of its own, as if the others
+were not there; the first to stop ends the search of all, and all have flown as many moves. `told` are fleets
+that know where the source is, fly straight to it, and search from there: the way, and the readings that the
+stop wants.
 """
 
 import argparse
@@ -38,6 +39,7 @@ from estimator.filter import Config, assimilate, prior
 from link import cli
 from link.bus.mavlink import Reading
 from link.terminal import tell
+from plume.elementary import Array
 from plume.outcome import verdict
 from plume.problem import ALTITUDE_M, PAPER, Area, Problem
 from plume.problems.fleet import FORMATIONS, Fleet, Place
@@ -54,7 +56,8 @@ WIDE = Problem(area=Area((0, 0), (150, 150)), step_m=2.5, budget=1000)
 
 HEADINGS = (
     *("policy", "from", "vehicles", "missions", "not ceased", "moves together", "share of one"),
-    *("of one from a point", "if told", "metres in all", "moves alone", "share of one"),
+    *("of one from a point", "if told", "median", "share of one's", "metres in all"),
+    *("moves alone", "share of one"),
     *("false stops together", "alone"),
 )
 
@@ -194,8 +197,9 @@ def table(rows: Sequence[Flown]) -> str:
             (
                 *(cell.policy, cell.formation, str(cell.vehicles), f"{len(own):,}"),
                 *(str(sum(not row.ceased for row in own.values())), _moves(own)),
-                *(_share(own, one), _share(own, at_a_point), _share(told, at_a_point), metres),
-                *(_moves(apart), _share(apart, one)),
+                *(_share(own, one), _share(own, at_a_point), _share(told, at_a_point)),
+                *(f"{np.median([row.moves for row in own.values()]):.0f}", _share(own, one, np.median)),
+                *(metres, _moves(apart), _share(apart, one)),
                 *(_false(own), _false(apart)),
             )
         )
@@ -208,11 +212,11 @@ def _moves(own: dict[int, Flown]) -> str:
     return bootstrap(np.array([row.moves for row in own.values()])).text(1, 1) if own else ""
 
 
-def _share(own: dict[int, Flown], one: dict[int, Flown]) -> str:
+def _share(own: dict[int, Flown], one: dict[int, Flown], middle: Callable[..., Array] = np.mean) -> str:
     both = np.array([(own[seed].moves, one[seed].moves) for seed in own if seed in one], np.float64)
     if not len(both):
         return ""
-    share = bootstrap(both, lambda drawn: drawn[..., 0].mean(axis=1) / drawn[..., 1].mean(axis=1))
+    share = bootstrap(both, lambda drawn: middle(drawn[..., 0], axis=1) / middle(drawn[..., 1], axis=1))
     return share.text(1, 2)
 
 

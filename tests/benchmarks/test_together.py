@@ -26,7 +26,7 @@ def test_what_was_not_flown_has_no_column() -> None:
     heading, _, one = table(
         [row(1, "together", 1, 40), row(1, "together", 2, 1000, ceased=False)]
     ).splitlines()
-    assert heading.count("|") == one.count("|") == 11
+    assert heading.count("|") == one.count("|") == 13
     assert "alone" not in heading
     assert "told" not in heading
     assert "| 2 | 1 | 520.0 " in one
@@ -49,6 +49,22 @@ def test_the_first_to_stop_ends_the_search_of_vehicles_that_share_nothing() -> N
 def test_a_share_is_of_the_same_seeds() -> None:
     rows = [row(1, "together", 1, 40), row(1, "together", 2, 20), row(2, "together", 1, 20)]
     assert "| 0.50 [0.50, 0.50] |" in table(rows)
+
+
+def test_medians_do_not_depend_on_when_a_search_is_given_up() -> None:
+    tables = [
+        table(
+            [
+                *(row(1, "together", seed, moves) for seed, moves in enumerate((40, 60, 60, 62))),
+                row(1, "together", 4, given_up_at, ceased=False),
+                *(row(2, "together", seed, 30) for seed in range(5)),
+            ]
+        )
+        for given_up_at in (100, 1000)
+    ]
+    assert all("| 30 | 0.50 [" in each for each in tables)  # 30 of 60
+    assert "| 30.0 [30.0, 30.0] | 0.47 [" in tables[0]  # of a mean of 64.4
+    assert "| 30.0 [30.0, 30.0] | 0.12 [" in tables[1]  # of 244.4
 
 
 def test_who_is_alone_is_flown_once_for_all_fleets_and_from_an_edge_not_at_all() -> None:
