@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -61,10 +62,11 @@ def in_turn(
     here = np.array(places, np.float64)
     hovering, homes = (np.array(there, np.float64).reshape(-1, 2) for there in (left_at, stands))
     chosen: list[Place] = []
+    common: dict[str, Any] = {}
     for vehicle, place in enumerate(places):
         ways = np.stack([here[:vehicle], np.array(chosen, np.float64).reshape(-1, 2)], axis=1)
         of_others = np.delete(homes, vehicle, axis=0) if len(homes) else homes
-        reach = Shared.of(within, ways, here[vehicle + 1 :], separation_m, hovering, of_others)
+        reach = Shared.of(within, ways, here[vehicle + 1 :], separation_m, hovering, of_others, common)
         if len(hovering) and reach.moves(place).tolist() == [[*place]]:
             reach = replace(reach, away=0.0)  # it is hemmed in, and leaves as well as it can
         chosen.append(reach.freed(place, decide(vehicle, reach)))

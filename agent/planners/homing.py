@@ -28,11 +28,11 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     """
     moves = reach.moves(belief.position)
     places = reach.ahead(belief.position, moves, AHEAD)
-    hypotheses = cloud(belief, particles).thinned(reach.fewer(PARTICLES))
+    hypotheses = reach.once("hypotheses", lambda: cloud(belief, particles).thinned(reach.fewer(PARTICLES)))
     before = reach.foreseen(AHEAD)
     number = reach.fewer(reach.measurements)
     imagined = imagine(belief, hypotheses, places, number, rng, before=before)
-    spread = entropy_spread(hypotheses, belief.spread)
+    spread = reach.once("spread", lambda: entropy_spread(hypotheses, belief.spread))
     spreads = spread * exp_each(-imagined.gains / 2).mean(axis=1)
     anyway = spread * float(exp_each(-imagined.gains_before / 2).mean()) if len(before) else spread
     here = hypotheses.mean(distances_of(hypotheses, np.array(belief.position), reach.area))

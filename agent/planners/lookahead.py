@@ -23,11 +23,12 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     moves = reach.moves(belief.position)
     paths = reach.ahead(belief.position, moves, np.array(AHEAD))  # (A, L, 2)
     flown = lengths(paths - belief.position)  # (A, L)
-    hypotheses = cloud(belief, particles).thinned(PARTICLES)
+    hypotheses = reach.once("hypotheses", lambda: cloud(belief, particles).thinned(PARTICLES))
     distances = hypotheses.mean(distances_of(hypotheses, paths, reach.area))  # (A, L)
     before = reach.foreseen(AHEAD[0])
     gains = imagine_along(belief, hypotheses, paths, reach.measurements, rng, before=before).gains
-    spreads = entropy_spread(hypotheses, belief.spread) * exp_each(-gains / 2).mean(axis=2)
+    spread = reach.once("spread", lambda: entropy_spread(hypotheses, belief.spread))
+    spreads = spread * exp_each(-gains / 2).mean(axis=2)
     return int(np.argmin(scores(flown, distances, spreads)))
 
 

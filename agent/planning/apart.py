@@ -1,13 +1,14 @@
 """Vehicles that keep apart: the moves that are free for one of a fleet, and where the others go."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.moves import Reach, lengths
+from agent.planning.moves import Reach, T, lengths
 from plume.elementary import Array
 from plume.scenario import SEPARATION_M
 
@@ -35,6 +36,7 @@ class Shared(Reach):
     hovering: Array = field(default_factory=lambda: np.empty((0, 2)), compare=False)  # (H, 2) m, near these
     clear_m: float = 0.0  # least distance of ways from those, unless they begin nearer and lead away
     stands: Array = field(default_factory=lambda: np.empty((0, 2)), compare=False)  # (S, 2) m, of the others
+    common: dict[str, Any] = field(default_factory=dict, compare=False)  # what `once` has computed, by name
     # Metres by which a way that begins too near leads away for each metre of it: no more than 45° aside.
     away: float = 0.7
     # A fleet saves rounds, not metres: with shorter moves it would need more of them (docs/fleet.md).
@@ -49,11 +51,12 @@ class Shared(Reach):
         separation_m: float,
         hovering: Array = NOWHERE,
         stands: Array = NOWHERE,
+        common: dict[str, Any] | None = None,
     ) -> "Shared":
         """Return `reach` for a vehicle whose turn it is.
 
         hovering: (H, 2) m where those have read that have left: each is at most a step from there.  stands:
-        (S, 2) m, where the others come back to.
+        (S, 2) m, where the others come back to.  common: what vehicles before it have computed `once`.
         """
         given = {name: getattr(reach, name) for name in OF_REACH}
         clear_m = separation_m + reach.step
@@ -65,6 +68,7 @@ class Shared(Reach):
             hovering=hovering,
             clear_m=clear_m,
             stands=stands,
+            common={} if common is None else common,
         )
 
     def moves(self, position: tuple[float, float]) -> Array:
@@ -104,6 +108,13 @@ class Shared(Reach):
         A round of eight is planned sooner, and its search is about as short (docs/fleet.md).
         """
         return math.ceil(number * min(1.0, IMAGINING / (1 + len(self.chosen) + len(self.waiting))))
+
+    def once(self, name: str, compute: Callable[[], T]) -> T:
+        """Return what a planner computes from the belief alone; the next vehicles have it from the first."""
+        if name not in self.common:
+            self.common[name] = compute()
+        found: T = self.common[name]
+        return found
 
     def foreseen(self, steps: float = 1.0) -> Array:
         """Return where those who have chosen will be so many steps on, if they go straight on: (F, 2) m."""

@@ -1,9 +1,10 @@
 """The moves that a planner may choose from, and the meaning of a learned policy's actions."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, TypeVar
 
 import msgspec
 import numpy as np
@@ -19,6 +20,8 @@ from plume.scenario import STEP_M
 TURNS = tuple(sign * k / 16 for k in range(1, 8) for sign in (1, -1))
 PARTS = (1.0, 0.5, 0.25, 0.125)  # of a way that meets an obstacle: the longest that is free is flown
 FINEST = 1 / 300  # the shortest move, as a part of the area's side
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,10 @@ class Reach:
     def fewer(self, number: int) -> int:
         """Return how many of a number of draws this vehicle has: alone all."""
         return number
+
+    def once(self, _name: str, compute: Callable[[], T]) -> T:
+        """Return what is computed from the belief alone: in a fleet, once for all vehicles of a round."""
+        return compute()
 
     def foreseen(self, _steps: float = 1.0) -> Array:
         """Return where other vehicles take readings before this one, (F, 2) m: there are none."""

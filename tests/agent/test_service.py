@@ -2,6 +2,7 @@
 next one is answered.
 """
 
+import dataclasses
 import math
 
 import msgspec
@@ -11,12 +12,13 @@ from msgspec.structs import replace
 
 from agent import service
 from agent.planning.apart import Shared
-from agent.policies import reach
-from agent.together import choose_all, in_turn
+from agent.policies import choose, reach
+from agent.together import choose_all, in_turn, seen_by
 from link.bus.keys import DEPARTURE
 from link.bus.mavlink import unpack
 from link.bus.messages import Belief, Departure, RoundReading, unpack_particles
 from link.bus.session import Arrival
+from plume.randomness import seed_of
 from tests.fuzz.services import BETWEEN, QuietBus, answered, belief_seeds, until_all_are_taken
 
 POLICY = "space-aware-infotaxis"
@@ -97,6 +99,22 @@ def test_a_round_is_answered_by_a_waypoint_for_each_vehicle_in_one_payload() -> 
         "homing", belief, particles, 3, reach("homing"), [(3.0, 4.0), (9.0, 4.0)], [0.1, 0.5], 3.0
     )
     assert [(each.y, each.x) for each in told] == chosen
+
+
+@pytest.mark.parametrize("name", ["homing", "lookahead"])
+def test_what_vehicles_of_a_round_have_in_common_changes_no_choice(name: str) -> None:
+    summary, _, attached = said(**of_two()).partition(BETWEEN)
+    belief = msgspec.json.decode(summary, type=Belief)
+    particles = unpack_particles(attached, len(belief.unknowns))
+    places, gases = [(3.0, 4.0), (9.0, 4.0)], [0.1, 0.5]
+
+    def decide(vehicle: int, free: Shared) -> tuple[float, float]:
+        seen = seen_by(belief, places[vehicle], gases[vehicle], vehicle + 1)
+        return choose(name, seen, particles, seed_of(3, vehicle + 1), dataclasses.replace(free, common={}))
+
+    stands = [each.place for each in belief.stands or ()]
+    wanted = in_turn(reach(name), places, 3.0, decide, stands=stands)
+    assert choose_all(name, belief, particles, 3, reach(name), places, gases, 3.0) == wanted
 
 
 def test_of_several_vehicles_the_one_that_repeats_itself_goes_elsewhere_and_the_others_as_before() -> None:

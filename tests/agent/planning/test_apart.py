@@ -95,6 +95,16 @@ def test_more_than_four_vehicles_share_the_draws_of_four(others: int, draws: int
     assert Reach().fewer(100) == 100
 
 
+def test_what_vehicles_have_in_common_is_computed_once() -> None:
+    nobody, common, counts = np.empty((0, 2)), {}, iter(range(9))
+    first, second = (
+        Shared.of(Reach(fits=True), nobody.reshape(0, 2, 2), nobody, 3.0, common=common) for _ in range(2)
+    )
+    assert [each.once("spread", lambda: next(counts)) for each in (first, second, first)] == [0, 0, 0]
+    assert second.once("hypotheses", lambda: next(counts)) == 1
+    assert shared([], []).once("spread", lambda: next(counts)) == 2  # of another round
+
+
 def after_leaving(*left_at: tuple[float, float]) -> Shared:
     nobody = np.empty((0, 2))
     return Shared.of(Reach(headings=8), nobody.reshape(0, 2, 2), nobody, 3.0, np.array(left_at))
