@@ -3,6 +3,7 @@ next one is answered.
 """
 
 import dataclasses
+import itertools
 import math
 
 import msgspec
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent import service
+from agent import policies, service
 from agent.planning.apart import Shared
 from agent.policies import choose, reach
 from agent.together import choose_all, in_turn, seen_by
@@ -18,6 +19,7 @@ from link.bus.keys import DEPARTURE
 from link.bus.mavlink import unpack
 from link.bus.messages import Belief, Departure, RoundReading, unpack_particles
 from link.bus.session import Arrival
+from plume.problem import PAPER, Area, Problem
 from plume.randomness import seed_of
 from tests.fuzz.services import BETWEEN, QuietBus, answered, belief_seeds, until_all_are_taken
 
@@ -231,3 +233,35 @@ def test_a_round_is_answered_although_the_clock_of_its_last_vehicle_is_behind_th
     bus = answered("homing", before, after, before, after)
     frames = [unpack(answer) for _, answer, _ in bus.published]
     assert [[each.time_boot_ms for each in told] for told in frames] == [[900, 1000], [800], [800]]
+
+
+YARD = ((10.0, 10.0), (29.0, 10.0), (29.0, 29.0), (10.0, 29.0))
+PROBLEMS = {
+    "paper": PAPER,
+    "far away": Problem(area=Area((-900.0, -900.0), (-200.0, -300.0)), step_m=20.0),
+    "no room": Problem(area=Area((0.0, 0.0), (2.0, 2.0)), step_m=0.5),
+    "corners that are fenced off": Problem(keep_in=YARD, start=(15.0, 15.0)),
+}
+
+
+@pytest.mark.parametrize(
+    ("policy", "problem"), [*itertools.product(policies.registry.PLANNERS, PROBLEMS), ("ppo", "paper")]
+)
+def test_nothing_is_answered_before_the_first_belief(policy: str, problem: str) -> None:
+    """It rehearses with a belief that nobody has said."""
+    bus = QuietBus()
+    within = reach(policy, problem=PROBLEMS[problem])
+    until_all_are_taken(lambda: service.run(bus, policy, 3, 300, None, within))
+    assert [key for key, _, _ in bus.published] == []
+
+
+def test_a_policy_of_others_is_first_asked_about_the_first_belief(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def policy(belief: Belief, *_: object) -> tuple[float, float]:
+        asked.append(belief.step)
+        return 3.0, 4.0
+
+    monkeypatch.setitem(policies.loaded, "theirs", ((), policy))
+    answered("theirs", said(step=7))
+    assert asked == [7]
