@@ -122,7 +122,7 @@ def run(
 def _rehearse(policy: str, reach: Reach) -> None:
     """Answer a belief of two vehicles that nobody has said, and forget it: so the first takes no longer.
 
-    Those of others may remember what they are asked.
+    Policies of others are not asked: they may remember it.
     """
     if policy not in policies.OURS:
         return
