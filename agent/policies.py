@@ -189,7 +189,8 @@ def _planned(name: str) -> Policy:
         belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator
     ) -> Sequence[float]:
         fitted = reach.fitted(belief)
-        return tuple(fitted.moves(belief.position)[plan(belief, particles, fitted, rng)])
+        moves = fitted.moves(belief.position)
+        return tuple(moves[plan(belief, particles, moves, fitted, rng)])
 
     return waypoint
 

@@ -20,25 +20,24 @@ WEIGHT = 4.0  # c: metres of flight that a metre of spread is expected to cost
 PROGRESS = 0.75
 
 
-def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
+def plan(belief: Belief, particles: Particles, moves: Array, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the least D(p) + c · E[spread after a reading at p], p two steps ahead.
 
     The spread S is `entropy_spread`; `scores` has D(p). In a fleet the readings that others will have taken
     are expected first, as if they flew on: p is worth what it tells beyond them.
     """
-    moves = reach.moves(belief.position)
     places = reach.ahead(belief.position, moves, AHEAD)
     hypotheses = reach.once("hypotheses", lambda: cloud(belief, particles).thinned(reach.fewer(PARTICLES)))
     before = reach.foreseen(AHEAD)
     number = reach.fewer(reach.measurements)
-    imagined = imagine(belief, hypotheses, places, number, rng, before=before)
+    imagined = imagine(hypotheses, places, number, rng, before=before)
     spread = reach.once("spread", lambda: entropy_spread(hypotheses, belief.spread))
     spreads = spread * exp_each(-imagined.gains / 2).mean(axis=1)
     anyway = spread * float(exp_each(-imagined.gains_before / 2).mean()) if len(before) else spread
-    here = hypotheses.mean(distances_of(hypotheses, np.array(belief.position), reach.area))
     flown = lengths(places - belief.position)
-    distances = distances_of(hypotheses, places, reach.area)
-    return int(np.argmin(scores(hypotheses, distances, here, spread, spreads, flown, anyway)))
+    distances = distances_of(hypotheses, np.vstack([belief.position, places]), reach.area)
+    here = hypotheses.mean(distances[0])
+    return int(np.argmin(scores(hypotheses, distances[1:], here, spread, spreads, flown, anyway)))
 
 
 def scores(

@@ -15,18 +15,17 @@ AHEAD = (2.0, 4.0)  # steps to the hypothetical readings; not every step: neighb
 WEIGHT = 4.0  # c: metres of flight that a metre of spread is expected to cost
 
 
-def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
+def plan(belief: Belief, particles: Particles, moves: Array, reach: Reach, rng: np.random.Generator) -> int:
     """The first move of the path with the least (metres flown to p) + E‖p − s‖ + c · E[spread].
 
     p is the best place on the path. The spread is `entropy_spread` after readings at all places up to p.
     """
-    moves = reach.moves(belief.position)
     paths = reach.ahead(belief.position, moves, np.array(AHEAD))  # (A, L, 2)
     flown = lengths(paths - belief.position)  # (A, L)
     hypotheses = reach.once("hypotheses", lambda: cloud(belief, particles).thinned(PARTICLES))
     distances = hypotheses.mean(distances_of(hypotheses, paths, reach.area))  # (A, L)
     before = reach.foreseen(AHEAD[0])
-    gains = imagine_along(belief, hypotheses, paths, reach.measurements, rng, before=before).gains
+    gains = imagine_along(hypotheses, paths, reach.measurements, rng, before=before).gains
     spread = reach.once("spread", lambda: entropy_spread(hypotheses, belief.spread))
     spreads = spread * exp_each(-gains / 2).mean(axis=2)
     return int(np.argmin(scores(flown, distances, spreads)))

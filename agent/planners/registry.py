@@ -9,10 +9,11 @@ import numpy as np
 
 from agent.planning.moves import Reach
 from link.bus.messages import Belief, Particles
+from plume.elementary import Array
 from plume.problem import AREA, Area
 
-# (belief, particles, reach, keyed random generator) -> index into `reach.moves(belief.position)`.
-Planner = Callable[[Belief, Particles, Reach, np.random.Generator], int]
+# (belief, particles, moves (A, 2) m, their reach, keyed random generator) -> index into the moves.
+Planner = Callable[[Belief, Particles, Array, Reach, np.random.Generator], int]
 
 # Module of each planner by name; it is imported on first use.
 PLANNERS = {

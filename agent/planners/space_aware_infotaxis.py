@@ -10,7 +10,7 @@ from plume.elementary import Array
 from plume.numerics import exp_each, log_each
 
 
-def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
+def plan(belief: Belief, particles: Particles, moves: Array, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the least expected log₂(D + (2^H − 1)/2) (Loisy and Eloy 2022, eq. 3.4).
 
     D is the expected Manhattan distance from the move to the source, in cells. H is the entropy of the
@@ -18,14 +18,13 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     way, D is longer by the way around. Both are taken under the
     belief after a reading there; H is the present entropy less the reading's information gain.
     """
-    moves, cell_m = reach.moves(belief.position), reach.step
-    hypotheses = cloud(belief, particles)
+    hypotheses, cell_m = cloud(belief, particles), reach.step
     distances = np.abs(moves[:, :, None] - hypotheses.places).sum(axis=1) / cell_m  # (A, N)
     if reach.area.obstacles:
         detours = distances_of(hypotheses, moves, reach.area) - hypotheses.distances(moves)
         distances = distances + detours / cell_m
     imagined = imagine(
-        belief, hypotheses, moves, reach.measurements, rng, distances[:, None], before=reach.foreseen()
+        hypotheses, moves, reach.measurements, rng, distances[:, None], before=reach.foreseen()
     )
     shares = shares_of_cells(hypotheses, cell_m)
     entropy = -np.sum(shares * log_each(shares))

@@ -10,9 +10,9 @@ from plume.elementary import Array
 from plume.problem import AREA, Area
 
 
-def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
+def plan(belief: Belief, particles: Particles, moves: Array, reach: Reach, rng: np.random.Generator) -> int:
     """The move that ends closest to a source position drawn from the belief at each step (Thompson 1933)."""
-    return towards(cloud(belief, particles), reach.moves(belief.position), rng, reach.area)
+    return towards(cloud(belief, particles), moves, rng, reach.area)
 
 
 def towards(hypotheses: Cloud, moves: Array, rng: np.random.Generator, area: Area = AREA) -> int:

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.moves import Reach, T, lengths
+from agent.planning.moves import Reach, T
 from plume.elementary import Array
 from plume.scenario import SEPARATION_M
 
@@ -79,28 +80,25 @@ class Shared(Reach):
 
     def are_free(self, position: tuple[float, float], places: Array) -> NDArray[np.bool_]:
         """Whether the ways from a position to places (A, 2) m are free and keep the separation: (A,)."""
-        free = super().are_free(position, places)
-        for there, clear_m in ((self.hovering, self.clear_m), (self.stands, self.separation_m)):
-            if len(there):
-                free = free & self._keep_clear(position, places, there, clear_m)
-        others = np.concatenate([self.chosen, np.repeat(self.waiting[:, None], 2, axis=1)])
-        apart = _gaps(position, places, others) >= self.separation_m
-        return np.asarray(apart.all(axis=1) & free)
+        from agent.planning.kernels import are_apart  # compiled: naming a policy does not need it
 
-    def _keep_clear(
-        self, position: tuple[float, float], places: Array, there: Array, clear_m: float
-    ) -> NDArray[np.bool_]:
-        """Whether ways from a position to places (A, 2) m stay so far from `there` (H, 2): (A,).
+        here = np.array(position, np.float64)
+        apart = are_apart(here, np.ascontiguousarray(places), *self._others)
+        return np.asarray(super().are_free(position, places) & apart)
 
-        A way that begins nearer to one of those has to lead away from it.
+    @cached_property
+    def _others(self) -> tuple[Array, Array, Array]:
+        """The ways of the others (F, 2, 2) m, and of each way what `are_apart` wants to know (F,).
+
+        Who is yet to choose may stay. Only near those that hover, and near stands, ways may begin.
         """
-        clear = _gaps(position, places, np.repeat(there[:, None], 2, axis=1)) >= clear_m
-        now = lengths(there - position)
-        if not (near := now < clear_m).any():
-            return np.asarray(clear.all(axis=1))
-        then, flown = lengths(there - places[:, None]), lengths(places - position)
-        leads_away = then >= now + self.away * flown[:, None]
-        return np.asarray((clear | near & leads_away).all(axis=1))
+        places = np.concatenate([self.waiting, self.hovering, self.stands])
+        ways = np.concatenate([self.chosen, np.repeat(places[:, None], 2, axis=1)])
+        flying, hover = len(self.chosen) + len(self.waiting), len(self.hovering)
+        clear_m, away = np.full(len(ways), self.separation_m), np.full(len(ways), self.away)
+        clear_m[flying : flying + hover] = self.clear_m
+        away[:flying] = np.inf
+        return ways, clear_m, away
 
     def fewer(self, number: int) -> int:
         """Return how many of a number of draws each vehicle has: more than IMAGINING share those of so many.
@@ -120,9 +118,3 @@ class Shared(Reach):
         """Return where those who have chosen will be so many steps on, if they go straight on: (F, 2) m."""
         start, end = self.chosen[:, 0], self.chosen[:, 1]
         return self.area.clipped(start + steps * (end - start))
-
-
-def _gaps(position: tuple[float, float], places: Array, ways: Array) -> Array:
-    from agent.planning.kernels import gaps  # compiled: naming a policy does not need it
-
-    return gaps(np.array(position, np.float64), np.ascontiguousarray(places), ways)

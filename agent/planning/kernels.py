@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plume.compiled import kernel, subroutine
 from plume.elementary import Array, Indices
@@ -313,28 +314,43 @@ def _side(x: float, y: float, x_1: float, y_1: float, x_2: float, y_2: float) ->
     return (x_2 - x_1) * (y - y_1) - (y_2 - y_1) * (x - x_1)
 
 
-@kernel("float64[:, ::1](float64[::1], float64[:, ::1], float64[:, :, ::1])")
-def gaps(position: Array, places: Array, ways: Array) -> Array:
-    """Least distances of the ways from a position (2,) to places (A, 2) from other ways (F, 2, 2): (A, F) m.
+@subroutine
+def _gap(x: float, y: float, goal_x: float, goal_y: float, way: Array) -> float:
+    """Least distance of a way from another one (2, 2), m: as `plume.polygons.polygons.gaps`, in NumPy."""
+    (x_1, y_1), (x_2, y_2) = way
+    crosses = (
+        _side(x_1, y_1, x, y, goal_x, goal_y) * _side(x_2, y_2, x, y, goal_x, goal_y) < 0.0
+        and _side(x, y, x_1, y_1, x_2, y_2) * _side(goal_x, goal_y, x_1, y_1, x_2, y_2) < 0.0
+    )
+    of_starts = min(_square_from(x, y, x_1, y_1, x_2, y_2), _square_from(x_1, y_1, x, y, goal_x, goal_y))
+    of_ends = min(
+        _square_from(goal_x, goal_y, x_1, y_1, x_2, y_2), _square_from(x_2, y_2, x, y, goal_x, goal_y)
+    )
+    return 0.0 if crosses else math.sqrt(min(of_starts, of_ends))
 
-    As `plume.polygons.polygons.gaps`, which has it in NumPy: a round of eight asks for some 1,900.
+
+@kernel("boolean[::1](float64[::1], float64[:, ::1], float64[:, :, ::1], float64[::1], float64[::1])")
+def are_apart(position: Array, places: Array, ways: Array, clear_m: Array, away: Array) -> NDArray[np.bool_]:
+    """Whether ways from a position (2,) to places (A, 2) keep clear of other ways (F, 2, 2) m: (A,).
+
+    clear_m: (F,) from each. A way that begins nearer to where such a way begins may do so, too, if each metre
+    of it leads so many metres away from there as `away` (F,) says.
     """
-    result, (x, y) = np.empty((len(places), len(ways))), position
+    result, (x, y) = np.ones(len(places), np.bool_), position
     for a in range(len(places)):
         goal_x, goal_y = places[a]
+        flown = math.sqrt((goal_x - x) * (goal_x - x) + (goal_y - y) * (goal_y - y))
         for f in range(len(ways)):
-            (x_1, y_1), (x_2, y_2) = ways[f]
-            crosses = (
-                _side(x_1, y_1, x, y, goal_x, goal_y) * _side(x_2, y_2, x, y, goal_x, goal_y) < 0.0
-                and _side(x, y, x_1, y_1, x_2, y_2) * _side(goal_x, goal_y, x_1, y_1, x_2, y_2) < 0.0
+            if _gap(x, y, goal_x, goal_y, ways[f]) >= clear_m[f]:
+                continue
+            there_x, there_y = ways[f, 0]
+            now = math.sqrt((there_x - x) * (there_x - x) + (there_y - y) * (there_y - y))
+            then = math.sqrt(
+                (there_x - goal_x) * (there_x - goal_x) + (there_y - goal_y) * (there_y - goal_y)
             )
-            square = min(
-                min(_square_from(x, y, x_1, y_1, x_2, y_2), _square_from(goal_x, goal_y, x_1, y_1, x_2, y_2)),
-                min(
-                    _square_from(x_1, y_1, x, y, goal_x, goal_y), _square_from(x_2, y_2, x, y, goal_x, goal_y)
-                ),
-            )
-            result[a, f] = 0.0 if crosses else math.sqrt(square)
+            if now >= clear_m[f] or not then >= now + away[f] * flown:
+                result[a] = False
+                break
     return result
 
 

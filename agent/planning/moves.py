@@ -45,7 +45,7 @@ class Reach:
         """
         if not self.fits:
             return self
-        step = min(self.step, self.longest_m(belief.spread))
+        step = min(self.step, self.once("longest", lambda: self.longest_m(belief.spread)))
         avoided = None if isinstance(belief.back, msgspec.UnsetType) else belief.back
         return replace(self, step=step, avoided=avoided) if (step, avoided) != (self.step, None) else self
 

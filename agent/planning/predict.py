@@ -1,14 +1,16 @@
 """Predictions of a belief: readings not yet taken, and the belief after them."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 
 from agent.planning import kernels
 from link.bus.messages import Belief, Particles
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.elementary import Array
+from plume.elementary import Array, Indices
 from plume.intermittency import SMALLEST_CV
 from plume.numerics import exp_each, log_each
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
@@ -44,11 +46,64 @@ class Cloud:
         east, north = (places[..., axis, None] - self.places[axis] for axis in (0, 1))
         return np.asarray(np.sqrt(east * east + north * north))
 
-    def thinned(self, most: int) -> "Cloud":
+    def thinned(self, most: int) -> Self:
         """Return a cloud of at most `most` evenly spaced particles: planning needs fewer than estimating."""
         every = math.ceil(len(self.weights) / most)
         weights = self.weights[::every]
-        return Cloud(np.ascontiguousarray(self.values[:, ::every]), weights / weights.sum())
+        return replace(
+            self, values=np.ascontiguousarray(self.values[:, ::every]), weights=weights / weights.sum()
+        )
+
+
+@dataclass(frozen=True)
+class Hypotheses(Cloud):
+    """The particles of a belief, and what readings of theirs depend on beside them."""
+
+    belief: Belief
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the rows."""
+        return ("x", "y", *(name for name in self.belief.unknowns if name not in ("x", "y")))
+
+    @cached_property
+    def sensor(self) -> Sensor:
+        """What is read with."""
+        return parse(self.belief.sensor)
+
+    @cached_property
+    def sensor_row(self) -> Array:
+        """The sensor as compiled loops take it."""
+        return sensor_row(self.sensor)
+
+    @cached_property
+    def unknowns(self) -> Indices:
+        """Number of each row in PARAMETERS."""
+        return np.array([PARAMETERS.index(name) for name in self.names])
+
+    @cached_property
+    def priors(self) -> Array:
+        """What is known of each of PARAMETERS, as the filter's loops take it: (P, 5)."""
+        belief = self.belief
+        known = {"z": belief.z, "q": belief.rate, "d": belief.diffusivity, "tau": belief.lifetime, **NEUTRAL}
+        priors = np.zeros((len(PARAMETERS), 5))
+        priors[:, 0] = [MEASURED if name in {"u", "phi"} - {*self.names} else KNOWN for name in PARAMETERS]
+        priors[:, 1] = [known.get(name, 0.0) for name in PARAMETERS]
+        return priors
+
+    @cached_property
+    def noises(self) -> Array:
+        """Each particle's factor on the sensor's noise, and its intermittency (cv) of the gas: (2, N)."""
+        rows = dict(zip(self.names, self.values, strict=True))
+        result = np.empty((2, len(self.weights)))
+        result[0] = rows.get("noise", NEUTRAL["noise"])
+        result[1] = rows.get("cv", self.sensor.cv if isinstance(self.sensor, Gaussian) else 0.0)
+        return result
+
+    @cached_property
+    def cumulative(self) -> Array:
+        """The weights' cumulative sums (N,)."""
+        return np.cumsum(self.weights)
 
 
 @dataclass(frozen=True)
@@ -73,7 +128,7 @@ class Imagined:
         return self.log_likelihood - self.log_predictive
 
 
-def cloud(belief: Belief, particles: Particles) -> Cloud:
+def cloud(belief: Belief, particles: Particles) -> Hypotheses:
     """Unpack a belief's particles; a known x or y becomes a constant row."""
     columns = dict(zip(belief.unknowns, particles.T.astype(np.float64), strict=False))
     weights = particles[:, -1].astype(np.float64)
@@ -81,45 +136,25 @@ def cloud(belief: Belief, particles: Particles) -> Cloud:
         np.broadcast_to(columns.pop(name, np.float64(known)), weights.shape)
         for name, known in zip("xy", belief.mean, strict=True)
     )
-    return Cloud(np.vstack([x, y, *columns.values()]), weights / weights.sum())
+    return Hypotheses(np.vstack([x, y, *columns.values()]), weights / weights.sum(), belief)
 
 
-def _names(belief: Belief) -> tuple[str, ...]:
-    """Names of the rows of a belief's `Cloud`."""
-    return ("x", "y", *(name for name in belief.unknowns if name not in ("x", "y")))
-
-
-def _noises(belief: Belief, hypotheses: Cloud) -> Array:
-    """Return each particle's factor on the sensor's noise, and its intermittency (cv) of the gas: (2, N)."""
-    rows = dict(zip(_names(belief), hypotheses.values, strict=True))
-    sensor = parse(belief.sensor)
-    result = np.empty((2, len(hypotheses.weights)))
-    result[0] = rows.get("noise", NEUTRAL["noise"])
-    result[1] = rows.get("cv", sensor.cv if isinstance(sensor, Gaussian) else 0.0)
-    return result
-
-
-def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
+def concentrations(hypotheses: Hypotheses, places: Array) -> Array:
     """What the sensor reads without noise, (A, N), after long at places (A, 2) m under each particle.
 
     It is the mean concentration, g/m³, at flight height; of an instrument, in its unit. Its lag is left out.
     """
-    names = _names(belief)
-    known = {"z": belief.z, "q": belief.rate, "d": belief.diffusivity, "tau": belief.lifetime, **NEUTRAL}
-    priors = np.zeros((len(PARAMETERS), 5))
-    priors[:, 0] = [MEASURED if name in {"u", "phi"} - {*names} else KNOWN for name in PARAMETERS]
-    priors[:, 1] = [known.get(name, 0.0) for name in PARAMETERS]
+    belief = hypotheses.belief
     readings = np.empty((len(places), 5))
     readings[:, :2] = places
     readings[:, 2:] = belief.altitude_m, *belief.wind
-    unknowns = np.array([PARAMETERS.index(name) for name in names])
-    sensor = sensor_row(parse(belief.sensor))
-    return settled_readings(hypotheses.values, unknowns, priors, readings, sensor)
+    return settled_readings(
+        hypotheses.values, hypotheses.unknowns, hypotheses.priors, readings, hypotheses.sensor_row
+    )
 
 
 def imagine(
-    belief: Belief,
-    hypotheses: Cloud,
+    hypotheses: Hypotheses,
     places: Array,
     number: int,
     rng: np.random.Generator,
@@ -135,7 +170,7 @@ def imagine(
     """
     if values is not None:
         values = values[None, None] if values.ndim == 2 else values[:, None]
-    along = imagine_along(belief, hypotheses, places[:, None], number, rng, values, before)
+    along = imagine_along(hypotheses, places[:, None], number, rng, values, before)
     return Imagined(
         along.log_predictive[:, 0],
         along.log_likelihood[:, 0],
@@ -147,8 +182,7 @@ def imagine(
 
 
 def imagine_along(
-    belief: Belief,
-    hypotheses: Cloud,
+    hypotheses: Hypotheses,
     paths: Array,
     number: int,
     rng: np.random.Generator,
@@ -159,11 +193,9 @@ def imagine_along(
 
     values: (A, 1, F, N), or (A, L, F, N) if nothing is read `before`.
     """
-    sensor, places = parse(belief.sensor), np.concatenate([before, paths.reshape(-1, 2)])
-    at_all = concentrations(belief, hypotheses, places)
+    sensor, noises, cumulative = hypotheses.sensor, hypotheses.noises, hypotheses.cumulative
+    at_all = concentrations(hypotheses, np.concatenate([before, paths.reshape(-1, 2)]))
     means_before, means = at_all[: len(before)], at_all[len(before) :].reshape(*paths.shape[:2], -1)
-    noises = _noises(belief, hypotheses)
-    cumulative = np.cumsum(hypotheses.weights)
     strata = (np.arange(number) + rng.random()) / number * cumulative[-1]
     drawn = np.minimum(np.searchsorted(cumulative, strata, side="right"), len(cumulative) - 1)
     bits = np.random.Philox(int(rng.integers(2**63)))
@@ -187,7 +219,7 @@ def imagine_along(
             np.ascontiguousarray(values),
             drawn,
             readings,
-            sensor_row(sensor),
+            hypotheses.sensor_row,
             noises,
         ),
         *(means_before, readings_before),
@@ -232,8 +264,7 @@ def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
 
 
 def variances(
-    belief: Belief,
-    hypotheses: Cloud,
+    hypotheses: Hypotheses,
     places: Array,
     number: int,
     rng: np.random.Generator,
@@ -246,5 +277,5 @@ def variances(
     # Offsets from the mean limit cancellation below.
     offsets = hypotheses.places - hypotheses.mean(hypotheses.places)[:, None]
     values = np.vstack([offsets, np.square(offsets).sum(axis=0)])
-    expected = imagine(belief, hypotheses, places, number, rng, values, before).expectations
+    expected = imagine(hypotheses, places, number, rng, values, before).expectations
     return np.asarray(np.maximum(expected[:, :, 2] - np.square(expected[:, :, :2]).sum(axis=2), 0.0))

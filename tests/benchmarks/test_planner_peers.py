@@ -5,14 +5,13 @@ missions.
 import numpy as np
 import pytest
 
-from agent.planners.registry import planner
 from agent.planning.moves import Reach
 from agent.planning.predict import cloud, imagine
 from agent.policies import choose
 from benchmarks import planner_peers
 from benchmarks.planner_peers import NUMPY
 from benchmarks.planners import FIRST_SEED, Case, beliefs
-from plume.sensors.names import parse
+from tests.agent.planners.test_planners import chosen_by
 
 
 @pytest.fixture(scope="module")
@@ -30,11 +29,11 @@ def ours(name: str, case: Case, reach: Reach, rng: np.random.Generator) -> np.nd
     belief, particles = case
     moves, hypotheses = reach.moves(belief.position), cloud(belief, particles)
     squared = np.square(moves[:, :, None] - hypotheses.places).sum(axis=1)
-    imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, squared[:, None])
+    imagined = imagine(hypotheses, moves, reach.measurements, rng, squared[:, None])
     return {
         "infotaxis": imagined.gains.mean(axis=1),
         "entrotaxis": imagined.gains.mean(axis=1)
-        + parse(belief.sensor).entropy(imagined.means) @ hypotheses.weights,
+        + hypotheses.sensor.entropy(imagined.means) @ hypotheses.weights,
         "dcee": -imagined.expectations.mean(axis=(1, 2)),
     }[name]
 
@@ -56,5 +55,5 @@ def test_moves_are_those_of_plain_numpy(name: str, headings: int, cases: list[Ca
     reach = Reach(headings=headings)
     for case in cases:
         assert choose(name, *case, 7, reach) == planner_peers.choose(name, *case, 7, reach)
-    chosen = {planner(name)(*case, reach, np.random.default_rng(1)) for case in cases}
+    chosen = {chosen_by(name, *case, reach, np.random.default_rng(1)) for case in cases}
     assert len(chosen) > 1  # the cases lead to different headings

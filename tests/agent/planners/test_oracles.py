@@ -12,11 +12,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from agent.planners.registry import PLANNERS, planner, reach
+from agent.planners.registry import PLANNERS, reach
 from agent.planning.moves import Reach
 from link.bus.messages import Belief
 from plume.sensors.names import GAUSSIAN, Sensor, text
 from plume.sensors.sensor import Gaussian, Hits, Threshold
+from tests.agent.planners.test_planners import chosen_by
 
 Array = np.ndarray
 DIFFUSIVITY, LIFETIME, ALTITUDE, HEIGHT = 4.2, 10.0, 5.0, 4.25
@@ -48,8 +49,8 @@ class World:
         self.spread = math.sqrt(self.weights @ ((self.x - self.mean[0]) ** 2 + (self.y - self.mean[1]) ** 2))
         self.reach = Reach(headings=headings, measurements=10)
         self.rng = np.random.default_rng(seed + 1000)
-        self.chosen = planner(name)(
-            self.belief(), self.particles, self.reach, np.random.default_rng(seed + 1000)
+        self.chosen = chosen_by(
+            name, self.belief(), self.particles, self.reach, np.random.default_rng(seed + 1000)
         )
         self.moves = np.array(
             [self.move(heading) for heading in range(headings) if self.is_inside(self.move(heading))]
@@ -372,7 +373,7 @@ def test_in_a_world_turned_by_a_quarter_the_choice_turns_too(name: str) -> None:
             world.here, world.mean = (30 - world.here[1], world.here[0]), (30 - world.mean[1], world.mean[0])
             world.wind = (-world.wind[1], world.wind[0])
             choices.append(
-                planner(name)(world.belief(), world.particles, reach(name), np.random.default_rng(seed))
+                chosen_by(name, world.belief(), world.particles, reach(name), np.random.default_rng(seed))
             )
         assert np.all(np.diff(choices) % reach(name).headings == reach(name).headings // 4), (seed, choices)
 
@@ -399,7 +400,7 @@ def test_of_two_places_the_near_one_is_looked_at_first(name: str, towards: bool)
         world.particles = np.array(
             [[15 + 2 * x, 15 + 2 * y, 300.0, 0.5], [15 - 12 * x, 15 - 12 * y, 300.0, 0.5]], np.float32
         )
-        said = planner(name)(
-            world.belief(), world.particles, Reach(measurements=100), np.random.default_rng(3)
+        said = chosen_by(
+            name, world.belief(), world.particles, Reach(measurements=100), np.random.default_rng(3)
         )
         assert said == (heading if towards else (heading + 2) % 4)

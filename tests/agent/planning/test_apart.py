@@ -88,6 +88,30 @@ def test_those_ways_are_free_whose_gaps_to_all_others_are_no_less_than_the_separ
     assert 200 < free < 1000  # of 1,200: some are and some are not
 
 
+def test_a_way_that_begins_near_a_stand_or_one_that_has_left_is_free_if_it_leads_away() -> None:
+    """Against the same rule in NumPy, with three stands and two that have left; not of ways that are flown."""
+    rng = np.random.default_rng(6)
+    leading, nobody = 0, np.empty((0, 2))
+    for _ in range(200):
+        here, stands, left = rng.random(2) * 12, rng.random((3, 2)) * 12, rng.random((2, 2)) * 12
+        places = here + rng.normal(0, 1, (6, 2))
+        reach = Shared.of(Reach(headings=8), nobody.reshape(0, 2, 2), nobody, 2.0, left, stands)
+        there, clear_m = np.concatenate([left, stands]), np.array([3.0, 3.0, 2.0, 2.0, 2.0])
+        ways = np.stack([np.broadcast_to(here, (6, 2)), places], axis=1)[:, None]
+        clear = gaps(ways, np.repeat(there[:, None], 2, axis=1)) >= clear_m
+        now, then = (np.linalg.norm(there - from_there, axis=-1) for from_there in (here, places[:, None]))
+        away = (now < clear_m) & (then - now >= 0.7 * np.linalg.norm(places - here, axis=1)[:, None])
+        expected = (clear | away).all(axis=1)
+        assert (reach.are_free(tuple(here), places) == expected).all()
+        leading += (expected & ~clear.all(axis=1)).sum()
+    assert leading > 50
+    flown = shared([[[8.5, 5.0], [8.5, 5.0]]], [[1.5, 5.0]])
+    assert flown.moves((6.5, 5.0)).tolist() == [
+        [6.5, 5.0]
+    ]  # 2 m from a way: even one that leads away is not free
+    assert not flown.are_free((4.0, 5.0), np.array([[5.0, 5.0]])).any()  # nor from who has yet to choose
+
+
 @pytest.mark.parametrize(("others", "draws"), [(0, 100), (3, 100), (4, 80), (7, 50)])
 def test_more_than_four_vehicles_share_the_draws_of_four(others: int, draws: int) -> None:
     chosen, waiting = [[[9.0, 9.0], [9.0, 9.0]]] * (others // 2), [[20.0, 20.0]] * (others - others // 2)
