@@ -99,7 +99,7 @@ def test_a_service_that_dies_is_seen_and_seen_again_when_it_is_back(
     start, router: str, mission: Path, viewed: str, look: Callable[..., Window]
 ) -> None:
     window = look(viewed)
-    start("sitl", "uav", str(mission), "--connect", router, "--speedup", "5")
+    start("sitl", "uav", str(mission), "--connect", router, "--speedup", "5", "--silence", "300")
     start("estimator", "--connect", router)
     agent = start("agent", "--connect", router)
     window.until(f"{MODEL}?.measurements.length >= 3")
