@@ -1,4 +1,4 @@
 """Planners: each a pure function from a belief to the next waypoint, one small file each.
 
-Imports: plume, plume.sensors, link.bus, agent.planning.
+Imports: plume, link.bus, agent.planning.
 """
