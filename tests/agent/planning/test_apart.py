@@ -89,7 +89,7 @@ def test_those_ways_are_free_whose_gaps_to_all_others_are_no_less_than_the_separ
 
 
 def test_a_way_that_begins_near_a_stand_or_one_that_has_left_is_free_if_it_leads_away() -> None:
-    """Against the same rule in NumPy, with three stands and two that have left; not of ways that are flown."""
+    """Against the same rule in NumPy, with three stands and two that have left. It is not so of ways that are flown."""
     rng = np.random.default_rng(6)
     leading, nobody = 0, np.empty((0, 2))
     for _ in range(200):
@@ -106,10 +106,9 @@ def test_a_way_that_begins_near_a_stand_or_one_that_has_left_is_free_if_it_leads
         leading += (expected & ~clear.all(axis=1)).sum()
     assert leading > 50
     flown = shared([[[8.5, 5.0], [8.5, 5.0]]], [[1.5, 5.0]])
-    assert flown.moves((6.5, 5.0)).tolist() == [
-        [6.5, 5.0]
-    ]  # 2 m from a way: even one that leads away is not free
-    assert not flown.are_free((4.0, 5.0), np.array([[5.0, 5.0]])).any()  # nor from who has yet to choose
+    # 2 m from a way, and 2.5 m from who has yet to choose: no way is free, even if it leads away.
+    assert flown.moves((6.5, 5.0)).tolist() == [[6.5, 5.0]]
+    assert not flown.are_free((4.0, 5.0), np.array([[5.0, 5.0]])).any()
 
 
 @pytest.mark.parametrize(("others", "draws"), [(0, 100), (3, 100), (4, 80), (7, 50)])
